@@ -1,0 +1,1 @@
+"""Types that every other room shares. Imports numpy and small file formats only."""

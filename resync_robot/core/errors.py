@@ -1,0 +1,54 @@
+"""One tree of errors. A message says what happened, where, what is allowed, and what to type next."""
+
+
+class ResyncError(Exception):
+    """Base of every error this package raises on purpose; the CLI prints it and exits with code 2.
+
+    Args:
+        what: what happened, where, and what is allowed.
+        fix: the next command or edit that mends it.
+    """
+
+    def __init__(self, what: str, fix: str = "") -> None:
+        super().__init__(what if not fix else f"{what}\n  -> {fix}")
+        self.what = what
+        self.fix = fix
+
+
+class ConfigError(ResyncError):
+    """A rig, preset, or command line value that cannot be used."""
+
+
+class UnknownNameError(ResyncError):
+    """A domain, scenario, object, predicate or skill that does not exist."""
+
+    def __init__(self, kind: str, name: str, valid: list[str] | tuple[str, ...]) -> None:
+        super().__init__(f"unknown {kind} '{name}'", f"valid: {', '.join(sorted(valid)) or '(none)'}")
+
+
+class LibraryError(ResyncError):
+    """A library folder that is missing, of another version, truncated or altered."""
+
+
+class EpisodeError(ResyncError):
+    """An episode recording that cannot be written or read."""
+
+
+class PlanningError(ResyncError):
+    """A goal that no plan reaches, or a model that is not well formed."""
+
+
+class MotionError(ResyncError):
+    """A target outside the arm's reach or limits."""
+
+
+class PerceptionError(ResyncError):
+    """An image or estimate that cannot be used."""
+
+
+class RenderError(ResyncError):
+    """No device can render."""
+
+
+class TrainingError(ResyncError):
+    """A training phase that cannot produce what the next one needs."""

@@ -1,0 +1,127 @@
+"""Closed-form kinematics of the UR7e, batched, for numpy arrays and torch tensors alike.
+
+Frames: `base` is the Denavit-Hartenberg base of the arm, `flange` its last frame. Angles in rad.
+Source of the parameters: the manufacturer's DH table; the UR7e shares the UR5e's kinematics.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from resync_robot.core.errors import MotionError
+
+D = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)
+A = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
+ALPHA = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
+
+BRANCHES = tuple(product((+1, -1), repeat=3))
+"""(shoulder, wrist, elbow) signs of the eight solutions."""
+
+
+def forward(q: Any, xp: Any = np) -> Any:
+    """(..., 6) joint positions -> (..., 4, 4) base_T_flange. `xp` is numpy or torch."""
+    pose = None
+    for i in range(6):
+        c, s = xp.cos(q[..., i]), xp.sin(q[..., i])
+        ca, sa = float(np.cos(ALPHA[i])), float(np.sin(ALPHA[i]))
+        zero, one = c * 0, c * 0 + 1
+        link = _matrix(
+            [[c, -s * ca, s * sa, A[i] * c], [s, c * ca, -c * sa, A[i] * s],
+             [zero, zero + sa, zero + ca, zero + D[i]], [zero, zero, zero, one]], xp
+        )
+        pose = link if pose is None else pose @ link
+    return pose
+
+
+def link_frames(q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6 4 4"]:
+    """Pose of each of the six DH frames in the base, for geometry checks and drawings."""
+    frames, pose = [], np.eye(4)
+    for i in range(6):
+        c, s, ca, sa = np.cos(q[i]), np.sin(q[i]), np.cos(ALPHA[i]), np.sin(ALPHA[i])
+        pose = pose @ np.array(
+            [[c, -s * ca, s * sa, A[i] * c], [s, c * ca, -c * sa, A[i] * s], [0, sa, ca, D[i]], [0, 0, 0, 1.0]]
+        )
+        frames.append(pose)
+    return np.stack(frames)
+
+
+def inverse_branch(base_T_flange: Any, branch: tuple[int, int, int], xp: Any = np) -> Any:
+    """One of the eight solutions, (..., 6); NaN where that branch does not reach.
+
+    Follows from R = Rz(q2+q3+q4) Ry(-q5) Rz(q6) in the frame of joint 1, and a two-link arm for q2, q3.
+    """
+    shoulder, wrist, elbow = branch
+    d4, d5, d6, a2, a3 = D[3], D[4], D[5], A[1], A[2]
+    r, p = base_T_flange[..., :3, :3], base_T_flange[..., :3, 3]
+    w = p - d6 * r[..., :, 2]
+    lean = xp.arcsin(_domain(d4 / xp.sqrt(w[..., 0] ** 2 + w[..., 1] ** 2), xp))
+    heading = xp.arctan2(w[..., 1], w[..., 0])
+    q1 = heading + lean if shoulder > 0 else heading + np.pi - lean
+    c1, s1 = xp.cos(q1), xp.sin(q1)
+
+    # Rows of the rotation seen from the frame of joint 1, whose z axis is (s1, -c1, 0).
+    def z_row(column: Any) -> Any:
+        return s1 * column[..., 0] - c1 * column[..., 1]
+
+    def x_row(column: Any) -> Any:
+        return c1 * column[..., 0] + s1 * column[..., 1]
+
+    cos5 = _domain(z_row(r[..., :, 2]), xp)
+    q5 = wrist * xp.arccos(cos5)
+    sin5 = xp.sin(q5)
+    # At sin5 = 0 the axes of joints 4 and 6 align; any split serves, so the sign alone is kept.
+    sign5 = xp.where(sin5 < 0, -xp.ones_like(sin5), xp.ones_like(sin5))
+    q6 = xp.arctan2(-z_row(r[..., :, 1]) * sign5, z_row(r[..., :, 0]) * sign5)
+    z6 = r[..., :, 2]
+    q234 = xp.arctan2(-z6[..., 2] * sign5, -x_row(z6) * sign5)
+    x = x_row(w) - d5 * xp.sin(q234)
+    y = w[..., 2] - D[0] + d5 * xp.cos(q234)
+    q3 = elbow * xp.arccos(_domain((x * x + y * y - a2 * a2 - a3 * a3) / (2 * a2 * a3), xp))
+    q2 = xp.arctan2(y, x) - xp.arctan2(a3 * xp.sin(q3), a2 + a3 * xp.cos(q3))
+    q = xp.stack([q1, q2, q3, q234 - q2 - q3, q5, q6], -1)
+    return (q + np.pi) % (2 * np.pi) - np.pi
+
+
+def inverse(
+    base_T_flange: Float[np.ndarray, "4 4"],
+    seed: Float[np.ndarray, "6"],
+    limit: Float[np.ndarray, "6"] | None = None,
+) -> Float[np.ndarray, "6"]:
+    """The solution nearest to `seed` within +-`limit` (default: 2 pi, elbow pi).
+
+    Raises:
+        MotionError: no branch reaches the pose within the limits.
+    """
+    limit = JOINT_LIMIT if limit is None else limit
+    best, best_cost = None, np.inf
+    for branch in BRANCHES:
+        with np.errstate(invalid="ignore"):
+            q = inverse_branch(base_T_flange, branch)
+        if not np.all(np.isfinite(q)):
+            continue
+        q = q + 2 * np.pi * np.round((seed - q) / (2 * np.pi))
+        q = np.where(q > limit, q - 2 * np.pi, np.where(q < -limit, q + 2 * np.pi, q))
+        cost = float(np.abs(q - seed).max())
+        if cost < best_cost and np.all(np.abs(q) <= limit):
+            best, best_cost = q, cost
+    if best is None:
+        x, y, z = base_T_flange[:3, 3]
+        raise MotionError(f"no arm configuration puts the flange at ({x:.3f}, {y:.3f}, {z:.3f}) m of the arm's base")
+    return best
+
+
+JOINT_LIMIT = np.array([2 * np.pi, 2 * np.pi, np.pi, 2 * np.pi, 2 * np.pi, 2 * np.pi])
+
+
+def _domain(value: Any, xp: Any) -> Any:
+    """Clip rounding errors of an arccos or arcsin argument; what is truly outside becomes NaN."""
+    clipped = xp.clip(value, -1.0, 1.0)
+    return xp.where(abs(value) > 1.0 + 1e-9, value * float("nan"), clipped)
+
+
+def _matrix(rows: list[list[Any]], xp: Any) -> Any:
+    return xp.stack([xp.stack(row, -1) for row in rows], -2)

@@ -1,0 +1,184 @@
+"""The library: everything a training run learned, as one folder of open files.
+
+    library/
+      library.json          version, domain, rig hash, list of files with their SHA-256
+      domain.pddl           types, predicates, operators
+      predicates/NAME.json  signature, form, effects;  NAME.safetensors  classifier weights
+      skills/NAME.json      signature, settings;       NAME.safetensors  policy and terminal weights
+      gaussians.json        pair Gaussians of failures and recoveries
+      provenance.json       git hash, seeds, versions, figures, durations
+
+Loading checks the version, every file's hash and every record; nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from resync_robot.core.errors import LibraryError
+
+VERSION = 1
+RETRAIN = "train a new one: resync-robot train-sim --domain cornered-insertion-s"
+
+
+@dataclass(frozen=True)
+class Record:
+    """One learned thing: plain JSON `meta` and named weight arrays (float32)."""
+
+    meta: Mapping[str, Any]
+    tensors: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Library:
+    """What a run learned, as data; the rooms that know how to use a record rebuild the live object."""
+
+    domain: str
+    rig_hash: str
+    domain_pddl: str
+    predicates: Mapping[str, Record]
+    skills: Mapping[str, Record]
+    gaussians: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 over what decides behaviour: everything but provenance (which holds dates and durations)."""
+        digest = hashlib.sha256()
+        for name, data in sorted(_files(self).items()):
+            if name != "provenance.json":
+                digest.update(name.encode() + b"\0" + data)
+        return digest.hexdigest()
+
+
+def save_library(library: Library, folder: Path) -> None:
+    """Write beside `folder` and swap, so that a kill leaves the old library or the new one.
+
+    Raises:
+        LibraryError: the folder cannot be written.
+    """
+    contents = _files(library)
+    manifest = {
+        "version": VERSION,
+        "domain": library.domain,
+        "rig_hash": library.rig_hash,
+        "content_hash": library.content_hash,
+        "files": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())},
+    }
+    beside = folder.with_name(folder.name + ".part")
+    try:
+        shutil.rmtree(beside, ignore_errors=True)
+        for name, data in {**contents, "library.json": _json(manifest)}.items():
+            path = beside / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+        if folder.exists():
+            old = folder.with_name(folder.name + ".old")
+            shutil.rmtree(old, ignore_errors=True)
+            folder.rename(old)
+            beside.rename(folder)
+            shutil.rmtree(old, ignore_errors=True)
+        else:
+            beside.rename(folder)
+    except OSError as error:
+        raise LibraryError(f"cannot write the library {folder}: {error}", "give another folder with --out") from None
+
+
+def load_library(folder: Path) -> Library:
+    """Read and verify a library folder.
+
+    Raises:
+        LibraryError: missing, of another version, truncated, or altered; the message names the file.
+    """
+    manifest = _read_json(folder, "library.json")
+    if not isinstance(manifest, dict) or manifest.get("version") != VERSION:
+        found = manifest.get("version") if isinstance(manifest, dict) else None
+        raise LibraryError(f"{folder} is a library of version {found}, this program reads version {VERSION}", RETRAIN)
+    listed = manifest.get("files")
+    if not isinstance(listed, dict) or not {"domain.pddl", "gaussians.json", "provenance.json"} <= set(listed):
+        raise LibraryError(f"{folder / 'library.json'} has no full list of files", RETRAIN)
+    contents: dict[str, bytes] = {}
+    for name, digest in listed.items():
+        if not isinstance(name, str) or ".." in Path(name).parts or Path(name).is_absolute():
+            raise LibraryError(f"{folder / 'library.json'} lists a file outside the library: {name!r}", RETRAIN)
+        data = _read(folder, name)
+        if hashlib.sha256(data).hexdigest() != digest:
+            raise LibraryError(f"{folder / name} was truncated or altered since it was saved", RETRAIN)
+        contents[name] = data
+    try:
+        domain, rig_hash = str(manifest["domain"]), str(manifest["rig_hash"])
+    except KeyError as error:
+        raise LibraryError(f"{folder / 'library.json'} has no field {error}", RETRAIN) from None
+    return Library(
+        domain=domain,
+        rig_hash=rig_hash,
+        domain_pddl=contents["domain.pddl"].decode(),
+        predicates=_records(folder, contents, "predicates"),
+        skills=_records(folder, contents, "skills"),
+        gaussians=_parse(folder, "gaussians.json", contents["gaussians.json"]),
+        provenance=_parse(folder, "provenance.json", contents["provenance.json"]),
+    )
+
+
+def _files(library: Library) -> dict[str, bytes]:
+    contents = {
+        "domain.pddl": library.domain_pddl.encode(),
+        "gaussians.json": _json(library.gaussians),
+        "provenance.json": _json(library.provenance),
+    }
+    for room, records in (("predicates", library.predicates), ("skills", library.skills)):
+        for name, record in records.items():
+            contents[f"{room}/{name}.json"] = _json(record.meta)
+            if record.tensors:
+                arrays = {k: np.ascontiguousarray(v) for k, v in sorted(record.tensors.items())}
+                contents[f"{room}/{name}.safetensors"] = save_tensors(arrays)
+    return contents
+
+
+def _records(folder: Path, contents: Mapping[str, bytes], room: str) -> dict[str, Record]:
+    records = {}
+    for name in sorted(contents):
+        if name.startswith(f"{room}/") and name.endswith(".json"):
+            stem = name.removesuffix(".json")
+            weights = contents.get(f"{stem}.safetensors")
+            try:
+                tensors = load_tensors(weights) if weights is not None else {}
+            except SafetensorError as error:
+                raise LibraryError(f"{folder / stem}.safetensors cannot be read: {error}", RETRAIN) from None
+            records[stem.removeprefix(f"{room}/")] = Record(_parse(folder, name, contents[name]), tensors)
+    return records
+
+
+def _json(data: Any) -> bytes:
+    return (json.dumps(data, indent=2, sort_keys=True) + "\n").encode()
+
+
+def _parse(folder: Path, name: str, data: bytes) -> Any:
+    try:
+        return json.loads(data)
+    except (ValueError, UnicodeDecodeError) as error:
+        raise LibraryError(f"{folder / name} is no valid JSON: {error}", RETRAIN) from None
+
+
+def _read(folder: Path, name: str) -> bytes:
+    try:
+        return (folder / name).read_bytes()
+    except OSError as error:
+        raise LibraryError(f"cannot read {folder / name}: {error.strerror}", RETRAIN) from None
+
+
+def _read_json(folder: Path, name: str) -> Any:
+    if not folder.is_dir():
+        raise LibraryError(f"there is no library folder {folder}", RETRAIN)
+    return _parse(folder, name, _read(folder, name))

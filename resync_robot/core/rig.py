@@ -1,0 +1,172 @@
+"""The facts of one machine: arm, gripper, cameras, limits, and where the numbers came from."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from resync_robot.core import spatial
+from resync_robot.core.errors import ConfigError, UnknownNameError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmRig:
+    """Attributes: `world_T_base` (4, 4); `home`, limits (6,) in rad, rad/s, rad/s^2, rad/s^3."""
+
+    model: str
+    world_T_base: np.ndarray
+    home: np.ndarray
+    velocity_limit: np.ndarray
+    acceleration_limit: np.ndarray
+    jerk_limit: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class GripperRig:
+    """Lengths in m, force in N. The closing axis is y of the flange, the tips lie along its z."""
+
+    model: str
+    tip_offset: float
+    max_opening: float
+    max_force: float
+    finger_thickness: float
+    finger_width: float
+
+    @property
+    def flange_T_tip(self) -> np.ndarray:
+        return spatial.transform(None, np.array([0.0, 0.0, self.tip_offset]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraRig:
+    """Attributes: `pose` (4, 4) of the camera in its mount ('flange' or 'world'), OpenCV axes; pixels; sigmas."""
+
+    name: str
+    mount: str
+    serial: str
+    pose: np.ndarray
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    position_sigma: float
+    rotation_sigma: float
+
+    @property
+    def intrinsics(self) -> np.ndarray:
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """Everything above, read from one TOML file; `hash` names that content in libraries and recordings."""
+
+    name: str
+    provenance: str
+    arm: ArmRig
+    gripper: GripperRig
+    cameras: tuple[CameraRig, ...]
+    hash: str
+
+    def camera(self, name: str) -> CameraRig:
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        raise UnknownNameError("camera", name, [c.name for c in self.cameras])
+
+
+_VECTORS = {"world_T_base": 7, "pose": 7, "home": 6, "velocity_limit": 6, "acceleration_limit": 6, "jerk_limit": 6}
+_ARM = ("model", "world_T_base", "home", "velocity_limit", "acceleration_limit", "jerk_limit")
+_GRIPPER = ("model", "tip_offset", "max_opening", "max_force", "finger_thickness", "finger_width")
+_CAMERA = ("name", "mount", "serial", "pose", "width", "height", "fx", "fy", "cx", "cy", "position_sigma",
+           "rotation_sigma")
+_TEXT = ("model", "name", "mount", "serial", "provenance")
+
+
+def load_rig(path: Path | None = None) -> Rig:
+    """Read a rig file; without a path, the rig that the simulation assumes.
+
+    Raises:
+        ConfigError: the file is missing, is no TOML, or has a missing, extra or mistyped field.
+    """
+    if path is None:
+        text, where = files("resync_robot.core").joinpath("simulated_rig.toml").read_text(), "the built-in rig"
+    else:
+        where = str(path)
+        try:
+            text = path.read_text()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"cannot read the rig file {path}: {error}", "give --rig FILE.toml") from None
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{where} is no valid TOML: {error}") from None
+
+    def section(table: Any, fields: tuple[str, ...], title: str) -> dict[str, Any]:
+        if not isinstance(table, Mapping):
+            raise ConfigError(f"{where}: [{title}] is missing")
+        extra, missing = sorted(set(table) - set(fields)), sorted(set(fields) - set(table))
+        if extra or missing:
+            raise ConfigError(
+                f"{where}: [{title}] has "
+                + " and ".join(
+                    f"{what} field{'s' * (len(which) > 1)} {', '.join(which)}"
+                    for what, which in (("unknown", extra), ("no", missing))
+                    if which
+                ),
+                f"its fields are {', '.join(fields)}",
+            )
+        return {name: _field(table[name], name, f"{where}: [{title}] {name}") for name in fields}
+
+    top = section({k: v for k, v in data.items() if k not in ("arm", "gripper", "cameras")}, ("name", "provenance"), "")
+    cameras = data.get("cameras")
+    if not isinstance(cameras, list) or not cameras:
+        raise ConfigError(f"{where}: no [[cameras]]")
+    return Rig(
+        name=top["name"],
+        provenance=top["provenance"],
+        arm=ArmRig(**section(data.get("arm"), _ARM, "arm")),
+        gripper=GripperRig(**section(data.get("gripper"), _GRIPPER, "gripper")),
+        cameras=tuple(CameraRig(**section(c, _CAMERA, f"cameras.{i}")) for i, c in enumerate(cameras)),
+        hash=hashlib.sha256(text.encode()).hexdigest()[:16],
+    )
+
+
+def _field(value: Any, name: str, where: str) -> Any:
+    if name in _TEXT:
+        if not isinstance(value, str):
+            raise ConfigError(f"{where} must be text, not {value!r}")
+        if name == "mount" and value not in ("flange", "world"):
+            raise ConfigError(f"{where} is '{value}'", "allowed: flange, world")
+        return value
+    if name in _VECTORS:
+        numbers = isinstance(value, list) and all(isinstance(v, int | float) and not isinstance(v, bool) for v in value)
+        if not numbers or len(value) != _VECTORS[name] or not np.all(np.isfinite(value)):
+            raise ConfigError(f"{where} must be {_VECTORS[name]} numbers, not {value!r}")
+        vector = np.asarray(value, dtype=np.float64)
+        if _VECTORS[name] == 7:
+            norm = float(np.linalg.norm(vector[3:]))
+            if abs(norm - 1.0) > 1e-3:
+                raise ConfigError(f"{where}: the quaternion has norm {norm:.3f}, it must be 1 (w x y z)")
+            return spatial.pose_from_features(vector)
+        if name.endswith("_limit") and np.any(vector <= 0):
+            raise ConfigError(f"{where} must be positive")
+        return vector
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise ConfigError(f"{where} must be a number, not {value!r}")
+    if name in ("width", "height"):
+        if int(value) != value or value <= 0:
+            raise ConfigError(f"{where} must be a positive number of pixels, not {value!r}")
+        return int(value)
+    if value < 0:
+        raise ConfigError(f"{where} must not be negative")
+    return float(value)

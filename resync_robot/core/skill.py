@@ -1,0 +1,84 @@
+"""Skills: a signature, a policy, a terminal function. A ground skill binds one to objects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+from resync_robot.core.errors import PlanningError
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.symbols import Object, Type
+from resync_robot.core.world import Observation
+
+
+class Ending(Enum):
+    """Why a skill stopped."""
+
+    DONE = "done"
+    """Its terminal function beta fired."""
+    BLOCKED = "blocked"
+    """A guard saw the tip stray or an unexpected force."""
+    UNREACHABLE = "unreachable"
+    """No arm configuration reaches what it wanted."""
+    REFUSED = "refused"
+    """The state makes no sense for it (an object is missing, the hand is full)."""
+    TIMEOUT = "timeout"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a skill ended, and in which words to report it."""
+
+    ending: Ending
+    reason: str = ""
+
+    @property
+    def done(self) -> bool:
+        return self.ending is Ending.DONE
+
+
+class Policy(Protocol):
+    """One run of a ground skill. A new object for each run, so that no state leaks from one to the next."""
+
+    def step(self, observation: Observation) -> JointTarget | Outcome:
+        """The next target, or how the skill ended."""
+        ...
+
+
+@dataclass(frozen=True)
+class Skill:
+    """A lifted skill C: signature, policy pi (with its beta inside), control rate.
+
+    Attributes:
+        start: called with the ground objects and the first observation, returns a fresh policy.
+        rate_hz: how often `step` wants to be called.
+        time_limit_s: after this the executive stops it with TIMEOUT.
+    """
+
+    name: str
+    types: tuple[Type, ...]
+    start: Callable[[tuple[Object, ...], Observation], Policy] = field(repr=False, compare=False)
+    rate_hz: float
+    time_limit_s: float
+
+    def ground(self, objects: tuple[Object, ...]) -> GroundSkill:
+        if tuple(o.type for o in objects) != self.types:
+            raise PlanningError(f"{self.name} takes ({', '.join(t.name for t in self.types)}), got {objects}")
+        return GroundSkill(self, objects)
+
+
+@dataclass(frozen=True)
+class GroundSkill:
+    """A skill with its objects."""
+
+    skill: Skill
+    objects: tuple[Object, ...]
+
+    @property
+    def name(self) -> str:
+        return self.skill.name
+
+    def __str__(self) -> str:
+        return f"{self.skill.name}({', '.join(map(str, self.objects))})"

@@ -1,0 +1,165 @@
+"""The symbolic vocabulary: types, objects, predicates, atoms, operators.
+
+`ground` and `lift` mirror each other; an atom whose arguments have the wrong number or type cannot be built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from resync_robot.core.errors import PlanningError
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Type:
+    """A kind of object and the names of its continuous features (x_o in the paper, SI units)."""
+
+    name: str
+    features: tuple[str, ...] = ()
+
+    def __call__(self, name: str) -> Object:
+        return Object(name, self)
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Object:
+    """A named thing of one type."""
+
+    name: str
+    type: Type
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Variable:
+    """A placeholder for an object of one type; its name starts with '?'."""
+
+    name: str
+    type: Type
+
+    def __post_init__(self) -> None:
+        if not self.name.startswith("?"):
+            raise PlanningError(f"variable '{self.name}' must start with '?'")
+
+    def __str__(self) -> str:
+        return self.name
+
+
+Term = Object | Variable
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Predicate:
+    """A relation over typed arguments (psi). Its classifier is looked up by name elsewhere."""
+
+    name: str
+    types: tuple[Type, ...]
+
+    def __call__(self, *args: Term) -> Atom:
+        return Atom(self, tuple(args))
+
+    def groundings(self, objects: Iterable[Object]) -> list[Atom]:
+        """Every well-typed ground atom over `objects` with distinct arguments, in a fixed order."""
+        pools = [sorted(o for o in objects if o.type == t) for t in self.types]
+        return [Atom(self, args) for args in distinct_products(pools)]
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Atom:
+    """A predicate applied to objects (ground) or variables (lifted)."""
+
+    predicate: Predicate
+    args: tuple[Term, ...]
+
+    def __post_init__(self) -> None:
+        types = self.predicate.types
+        if len(self.args) != len(types) or any(a.type != t for a, t in zip(self.args, types, strict=False)):
+            given = ", ".join(f"{a} - {a.type.name}" for a in self.args)
+            wanted = ", ".join(t.name for t in types)
+            raise PlanningError(f"{self.predicate.name}({given}) is ill-typed: it takes ({wanted})")
+
+    def substitute(self, binding: Mapping[Term, Term]) -> Atom:
+        """The same atom with its terms replaced; terms without a binding stay."""
+        return Atom(self.predicate, tuple(binding.get(a, a) for a in self.args))
+
+    def __str__(self) -> str:
+        return f"{self.predicate.name}({', '.join(a.name for a in self.args)})"
+
+
+Atoms = frozenset[Atom]
+
+
+@dataclass(frozen=True, slots=True)
+class Operator:
+    """What a skill needs and what it changes, lifted. The name is the skill's name (one operator a skill)."""
+
+    name: str
+    parameters: tuple[Variable, ...]
+    preconditions: Atoms = frozenset()
+    add: Atoms = frozenset()
+    delete: Atoms = frozenset()
+
+    def __post_init__(self) -> None:
+        free = {t for a in self.preconditions | self.add | self.delete for t in a.args} - set(self.parameters)
+        if free:
+            raise PlanningError(f"operator {self.name}: {sorted(t.name for t in free)} are not among its parameters")
+
+    def ground(self, objects: Sequence[Object]) -> GroundOperator:
+        """Bind the parameters to `objects`, in order. Raises PlanningError on wrong number or type."""
+        if len(objects) != len(self.parameters) or any(
+            o.type != v.type for o, v in zip(objects, self.parameters, strict=False)
+        ):
+            wanted = ", ".join(f"{v} - {v.type.name}" for v in self.parameters)
+            raise PlanningError(f"{self.name}({', '.join(map(str, objects))}) is ill-typed: it takes ({wanted})")
+        binding: dict[Term, Term] = dict(zip(self.parameters, objects, strict=True))
+
+        def bind(atoms: Atoms) -> Atoms:
+            return frozenset(a.substitute(binding) for a in atoms)
+
+        return GroundOperator(self, tuple(objects), bind(self.preconditions), bind(self.add), bind(self.delete))
+
+
+@dataclass(frozen=True, slots=True)
+class GroundOperator:
+    """An operator applied to objects."""
+
+    operator: Operator
+    objects: tuple[Object, ...]
+    preconditions: Atoms
+    add: Atoms
+    delete: Atoms
+
+    @property
+    def name(self) -> str:
+        return self.operator.name
+
+    def applicable(self, atoms: Atoms) -> bool:
+        return self.preconditions <= atoms
+
+    def apply(self, atoms: Atoms) -> Atoms:
+        """Successor state: deletes first, then adds, as pyperplan does."""
+        return (atoms - self.delete) | self.add
+
+    def lift(self) -> Operator:
+        """The lifted operator again; the inverse of `Operator.ground`."""
+        back: dict[Term, Term] = dict(zip(self.objects, self.operator.parameters, strict=True))
+
+        def unbind(atoms: Atoms) -> Atoms:
+            return frozenset(a.substitute(back) for a in atoms)
+
+        op = self.operator
+        return Operator(op.name, op.parameters, unbind(self.preconditions), unbind(self.add), unbind(self.delete))
+
+    def __str__(self) -> str:
+        return f"{self.name}({', '.join(map(str, self.objects))})"
+
+
+def distinct_products(pools: Sequence[Sequence[Object]]) -> list[tuple[Object, ...]]:
+    """Cartesian product of the pools, without tuples that use one object twice, in lexicographic order."""
+    tuples: list[tuple[Object, ...]] = [()]
+    for pool in pools:
+        tuples = [(*t, o) for t in tuples for o in pool if o not in t]
+    return tuples

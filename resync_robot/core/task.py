@@ -1,0 +1,91 @@
+"""Tasks, scenarios and domains: what is asked of the robot, and what it knows to begin with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from resync_robot.core.errors import UnknownNameError
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atom, Atoms, Object, Operator, Predicate, Type
+
+
+@dataclass(frozen=True)
+class Task:
+    """T = <objects, x_0, g>, with the physics that was drawn for it (friction, masses, looks)."""
+
+    objects: tuple[Object, ...]
+    initial: State
+    goal: Atoms
+    physics: Mapping[str, Any]
+    seed: int
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A family of tasks. `training` scenarios elicit the failure; the others test generalisation."""
+
+    name: str
+    description: str
+    goal: Callable[[Domain], Atoms]
+    sample: Callable[[np.random.Generator, int], Task]
+    training: bool = False
+
+
+@dataclass(frozen=True)
+class Domain:
+    """The initial knowledge: types, given predicates with their classifiers, given operators, scenarios.
+
+    Attributes:
+        classifiers: predicate name -> function of (state, objects) -> probability that it holds.
+    """
+
+    name: str
+    types: tuple[Type, ...]
+    predicates: tuple[Predicate, ...]
+    classifiers: Mapping[str, Callable[[State, tuple[Object, ...]], float]]
+    operators: tuple[Operator, ...]
+    scenarios: Mapping[str, Scenario]
+
+    def predicate(self, name: str) -> Predicate:
+        for p in self.predicates:
+            if p.name.lower() == name.lower():
+                return p
+        raise UnknownNameError("predicate", name, [p.name for p in self.predicates])
+
+    def scenario(self, name: str) -> Scenario:
+        if name not in self.scenarios:
+            raise UnknownNameError(f"scenario of {self.name}", name, list(self.scenarios))
+        return self.scenarios[name]
+
+    def parse_goal(self, text: str, objects: tuple[Object, ...]) -> Atoms:
+        """Atoms from text such as 'On(b1,b0), On(b2,b1)'. Raises UnknownNameError or PlanningError."""
+        return parse_atoms(text, self.predicates, objects)
+
+
+def parse_atoms(text: str, predicates: tuple[Predicate, ...], objects: tuple[Object, ...]) -> Atoms:
+    """Read 'P(a,b), Q(c)' into atoms; names are case-insensitive for predicates, exact for objects."""
+    import re
+
+    from resync_robot.core.errors import PlanningError
+
+    names = {p.name.lower(): p for p in predicates}
+    known = {o.name: o for o in objects}
+    found: list[Atom] = []
+    rest = re.sub(r"([\w-]+)\s*\(([^()]*)\)", "", text)
+    if rest.strip(" ,;&"):
+        raise PlanningError(f"cannot read the goal '{text}'", "write it as --goal \"On(b1,b0)\"")
+    for name, inside in re.findall(r"([\w-]+)\s*\(([^()]*)\)", text):
+        if name.lower() not in names:
+            raise UnknownNameError("predicate", name, [p.name for p in predicates])
+        args = [a.strip() for a in inside.split(",") if a.strip()]
+        for a in args:
+            if a not in known:
+                raise UnknownNameError("object", a, list(known))
+        found.append(names[name.lower()](*(known[a] for a in args)))
+    if not found:
+        raise PlanningError(f"the goal '{text}' names no atom", "write it as --goal \"On(b1,b0)\"")
+    return frozenset(found)

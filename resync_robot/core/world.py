@@ -1,0 +1,84 @@
+"""What an executive may ask of a world, real or simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from jaxtyping import Float, UInt8, UInt16
+
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.state import State
+
+
+@dataclass(frozen=True)
+class CameraFrame:
+    """One RGB-D picture, depth aligned to colour.
+
+    Attributes:
+        colour: (H, W, 3) uint8, RGB.
+        depth: (H, W) uint16, millimetres / 10 (unit 1e-4 m), 0 = no measurement.
+        intrinsics: (3, 3) camera matrix in pixels.
+        world_T_cam: (4, 4) pose of the camera as the robot believes it, OpenCV axes (x right, y down, z forward).
+        time: seconds on the robot's clock when it was exposed.
+    """
+
+    name: str
+    colour: UInt8[np.ndarray, "h w 3"]
+    depth: UInt16[np.ndarray, "h w"]
+    intrinsics: Float[np.ndarray, "3 3"]
+    world_T_cam: Float[np.ndarray, "4 4"]
+    time: float
+
+    DEPTH_UNIT_M = 1e-4
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a skill sees at one control step.
+
+    Attributes:
+        time: seconds since the episode began.
+        arm: (6,) measured joint positions, rad, order of ARM_JOINTS.
+        arm_velocity: (6,) rad/s.
+        opening: measured free distance between the pads, m.
+        tip_force: (3,) force that the world exerts on the hand, N, world frame, estimated.
+        state: the current belief about the objects, the robot's own features always measured.
+        images: pictures by camera name, where the world has any.
+    """
+
+    time: float
+    arm: Float[np.ndarray, "6"]
+    arm_velocity: Float[np.ndarray, "6"]
+    opening: float
+    tip_force: Float[np.ndarray, "3"]
+    state: State
+    images: Mapping[str, CameraFrame] = field(default_factory=dict)
+
+
+class World(Protocol):
+    """A robot among objects."""
+
+    def observe(self) -> Observation:
+        """The latest measurements; never moves the robot."""
+        ...
+
+    def act(self, target: JointTarget, duration: float) -> None:
+        """Move towards `target` for `duration` seconds."""
+        ...
+
+    def perceive(self) -> State:
+        """A fresh, full estimate of the scene; may move the robot to look around."""
+        ...
+
+
+class Simulator(World, Protocol):
+    """A world whose state can be put back."""
+
+    def save(self) -> Any:
+        """A snapshot for `restore`. Replays after a restore in mid-contact are not bit-exact."""
+        ...
+
+    def restore(self, snapshot: Any) -> None: ...
