@@ -1,0 +1,293 @@
+"""Builds one SAPIEN scene from a rig and a task: arm, table, box, blocks, lights, cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import as_file, files
+from typing import Any
+
+import numpy as np
+import sapien
+from sapien import physx, render
+
+from resync_robot.core.errors import RenderError
+from resync_robot.core.joints import ARM_JOINTS
+from resync_robot.core.rig import CameraRig, Rig
+from resync_robot.core.spatial import features_from_pose
+from resync_robot.core.symbols import Object
+from resync_robot.core.task import Task
+from resync_robot.core.vocabulary import BLOCK, BOX
+from sim_training import parts
+
+FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
+PERIOD = 0.01
+"""Physics period, s. 60 Hz makes a press-and-drag fail more often than not, 200 Hz gains nothing."""
+
+STIFFNESS, DAMPING = 6000.0, 300.0
+TORQUE = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
+FINGER_STIFFNESS, FINGER_DAMPING = 3000.0, 150.0
+
+_SOLVER_ITERATIONS = 12
+
+
+def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
+    """A scene with every object at its initial pose and the arm at the rig's home.
+
+    Args:
+        task: objects, their initial features, and the physics drawn for this task.
+        rendered: build visuals, lights and cameras too (needs a Vulkan device).
+
+    Raises:
+        RenderError: `rendered`, and no device can render.
+    """
+    systems = [physx.PhysxCpuSystem()]
+    if rendered:
+        _configure_renderer()
+        systems.append(render.RenderSystem())
+    scene = sapien.Scene(systems)
+    scene.set_timestep(PERIOD)
+    physics = task.physics
+    robot = _add_robot(scene, rig, physics, rendered)
+    _add_table(scene, physics, rendered)
+    bodies = {}
+    for obj in task.objects:
+        if obj.type == BOX:
+            bodies[obj] = _add_box(scene, obj, task, rendered)
+        elif obj.type == BLOCK:
+            bodies[obj] = _add_block(scene, obj, task, rendered)
+    cameras = {c.name: _add_camera(scene, c, robot) for c in rig.cameras} if rendered else {}
+    if rendered:
+        _add_lights(scene, physics)
+    return BuiltScene(scene, robot, bodies, cameras)
+
+
+class BuiltScene:
+    """Handles into one scene. Finger openings are the free distance between the pads."""
+
+    def __init__(
+        self,
+        scene: sapien.Scene,
+        robot: physx.PhysxArticulation,
+        bodies: Mapping[Object, sapien.Entity],
+        cameras: Mapping[str, render.RenderCameraComponent],
+    ) -> None:
+        self.scene, self.robot, self.bodies, self.cameras = scene, robot, dict(bodies), dict(cameras)
+        joints = {j.name: j for j in robot.active_joints}
+        self.arm_joints = [joints[n] for n in ARM_JOINTS]
+        self.finger_joints = [joints[n] for n in FINGER_JOINTS]
+        order = [j.name for j in robot.active_joints]
+        self.arm_index = np.array([order.index(n) for n in ARM_JOINTS])
+        self.finger_index = np.array([order.index(n) for n in FINGER_JOINTS])
+        links = {link.name: link for link in robot.links}
+        self.flange = links["flange"]
+        self.hand = {links[n] for n in ("flange", "left_finger", "right_finger")}
+        self.rigid = {
+            obj: entity.find_component_by_type(physx.PhysxRigidDynamicComponent) for obj, entity in self.bodies.items()
+        }
+
+    def set_torque_limits(self, torque: tuple[float, ...]) -> None:
+        """(6,) N m; a learned skill runs with lower ones than a scripted one."""
+        for joint, limit in zip(self.arm_joints, torque, strict=True):
+            joint.set_drive_properties(STIFFNESS, DAMPING, limit)
+
+    def set_configuration(self, q: np.ndarray, opening: float) -> None:
+        """Put the robot somewhere at rest, drive targets included."""
+        full = np.zeros(self.robot.dof, dtype=np.float32)
+        full[self.arm_index], full[self.finger_index] = q, opening / 2
+        self.robot.set_qpos(full)
+        self.robot.set_qvel(np.zeros_like(full))
+        self.drive(q, opening)
+
+    def drive(self, q: np.ndarray, opening: float) -> None:
+        for joint, value in zip(self.arm_joints, q, strict=True):
+            joint.set_drive_target(float(value))
+        for joint in self.finger_joints:
+            joint.set_drive_target(opening / 2)
+
+
+def _material(friction: float) -> physx.PhysxMaterial:
+    return physx.PhysxMaterial(friction, friction, 0.0)
+
+
+def _visual(colour: Any, roughness: float = 0.6, metallic: float = 0.0) -> render.RenderMaterial:
+    material = render.RenderMaterial()
+    material.base_color = [*(float(c) for c in colour[:3]), 1.0]
+    material.roughness, material.metallic, material.specular = roughness, metallic, 0.3
+    return material
+
+
+@cache
+def urdf_path() -> str:
+    """Where the robot's description lies."""
+    with as_file(files("sim_training").joinpath("assets/ur7e_2f140.urdf")) as path:
+        return str(path)
+
+
+def _add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendered: bool) -> physx.PhysxArticulation:
+    loader = scene.create_urdf_loader()
+    loader.fix_root_link = True
+    builders = loader.parse(urdf_path())[0]
+    builder = builders[0]
+    for link in builder.link_builders:
+        if not rendered:
+            link.visual_records = []
+    builder.initial_pose = sapien.Pose(rig.arm.world_T_base)
+    robot = builder.build(fix_root_link=True)
+    pad, steel = _material(physics["friction_pad"]), _material(0.3)
+    for link in robot.links:
+        link.disable_gravity = True
+        for shape in link.collision_shapes:
+            shape.physical_material = pad if link.name.endswith("finger") else steel
+            # A shared bit in the third word: the robot's own links do not collide with each other.
+            shape.set_collision_groups([1, 1, 1, 0])
+    robot.set_solver_position_iterations(_SOLVER_ITERATIONS)
+    gain = float(physics.get("gain", 1.0))
+    joints = {j.name: j for j in robot.active_joints}
+    for name, torque in zip(ARM_JOINTS, TORQUE, strict=True):
+        joints[name].set_drive_properties(STIFFNESS * gain, DAMPING * gain, torque)
+        joints[name].set_armature([0.02])
+    for name in FINGER_JOINTS:
+        joints[name].set_drive_properties(FINGER_STIFFNESS, FINGER_DAMPING, rig.gripper.max_force)
+        joints[name].set_armature([0.02])
+    return robot
+
+
+def _entity(scene: sapien.Scene, name: str, pose: sapien.Pose) -> sapien.Entity:
+    entity = sapien.Entity()
+    entity.name = name
+    entity.set_pose(pose)
+    return entity
+
+
+def _attach_shapes(
+    body: physx.PhysxRigidBaseComponent,
+    look: render.RenderBodyComponent | None,
+    shapes: list[parts.Convex | parts.Cuboid],
+    material: physx.PhysxMaterial,
+    paint: Any,
+) -> None:
+    for shape in shapes:
+        if isinstance(shape, parts.Cuboid):
+            solid = physx.PhysxCollisionShapeBox(shape.half.astype(np.float32), material)
+            solid.local_pose = sapien.Pose(shape.centre)
+        else:
+            scale = np.ones(3, dtype=np.float32)
+            solid = physx.PhysxCollisionShapeConvexMesh(shape.vertices.astype(np.float32), scale, material)
+        body.attach(solid)
+        if look is None:
+            continue
+        if isinstance(shape, parts.Cuboid):
+            drawn = render.RenderShapeBox(shape.half.astype(np.float32), paint)
+            drawn.local_pose = sapien.Pose(shape.centre)
+        else:
+            vertices, triangles, normals = parts.hull_triangles(shape.vertices)
+            uvs = np.zeros((len(vertices), 2), dtype=np.float32)
+            drawn = render.RenderShapeTriangleMesh(
+                vertices.astype(np.float32), triangles, normals.astype(np.float32), uvs, paint
+            )
+        look.attach(drawn)
+
+
+def _add_table(scene: sapien.Scene, physics: Mapping[str, Any], rendered: bool) -> None:
+    slab = parts.Cuboid(np.array([0.35, -0.05, -0.02]), np.array([0.75, 0.75, 0.02]))
+    _add_static(scene, "table", sapien.Pose(), [slab], 0.4, physics.get("table_colour", (0.75, 0.68, 0.58)), rendered)
+
+
+def _add_static(
+    scene: sapien.Scene, name: str, pose: sapien.Pose, shapes: Any, friction: float, colour: Any, rendered: bool
+) -> sapien.Entity:
+    entity = _entity(scene, name, pose)
+    body = physx.PhysxRigidStaticComponent()
+    look = render.RenderBodyComponent() if rendered else None
+    _attach_shapes(body, look, shapes, _material(friction), _visual(colour) if rendered else None)
+    entity.add_component(body)
+    if look is not None:
+        entity.add_component(look)
+    scene.add_entity(entity)
+    return entity
+
+
+def _add_box(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
+    shapes = parts.box_shapes(*task.initial.get(obj, "inner_x", "inner_y", "wall_z", "wall_thickness"))
+    pose = _pose(task.initial[obj][:7])
+    colour = task.physics.get("box_colour", (0.35, 0.37, 0.40))
+    return _add_static(scene, obj.name, pose, shapes, task.physics["friction_box"], colour, rendered)
+
+
+def _add_block(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
+    size = task.initial.get(obj, "size_x", "size_y", "size_z")
+    colour = task.physics["colours"][obj.name]
+    entity = _entity(scene, obj.name, _pose(task.initial[obj][:7]))
+    body = physx.PhysxRigidDynamicComponent()
+    look = render.RenderBodyComponent() if rendered else None
+    material = _material(task.physics["friction_block"])
+    paint = _visual(colour, roughness=0.45) if rendered else None
+    _attach_shapes(body, look, parts.block_shapes(tuple(size)), material, paint)
+    # A hollow socket shifts mass and inertia little; a solid cuboid's inertia is what the blocks have.
+    mass = float(task.physics["masses"][obj.name])
+    body.mass = mass
+    body.inertia = (mass / 12 * np.array([size[1] ** 2 + size[2] ** 2, size[0] ** 2 + size[2] ** 2,
+                                          size[0] ** 2 + size[1] ** 2])).astype(np.float32)
+    body.solver_position_iterations = _SOLVER_ITERATIONS
+    body.linear_damping, body.angular_damping = 0.05, 0.1
+    entity.add_component(body)
+    if look is not None:
+        entity.add_component(look)
+    scene.add_entity(entity)
+    return entity
+
+
+def _pose(features: np.ndarray) -> sapien.Pose:
+    return sapien.Pose(np.asarray(features[:3]), np.asarray(features[3:7]))
+
+
+def _add_camera(
+    scene: sapien.Scene, camera: CameraRig, robot: physx.PhysxArticulation
+) -> render.RenderCameraComponent:
+    component = render.RenderCameraComponent(camera.width, camera.height)
+    component.set_perspective_parameters(0.05, 5.0, camera.fx, camera.fy, camera.cx, camera.cy, 0.0)
+    # SAPIEN cameras look along x with z up; OpenCV's along z with y down.
+    axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+    local = sapien.Pose(camera.pose @ axes)
+    if camera.mount == "flange":
+        mount = next(link for link in robot.links if link.name == "flange").entity
+        component.local_pose = local
+        mount.add_component(component)
+    else:
+        entity = _entity(scene, f"camera_{camera.name}", local)
+        entity.add_component(component)
+        scene.add_entity(entity)
+    return component
+
+
+def _add_lights(scene: sapien.Scene, physics: Mapping[str, Any]) -> None:
+    light = physics.get("light", {})
+    level = float(light.get("ambient", 0.45))
+    scene.set_ambient_light([level] * 3)
+    strength = float(light.get("strength", 1.4))
+    tint = np.asarray(light.get("tint", (1.0, 1.0, 1.0)))
+    scene.add_directional_light(light.get("direction", (0.3, 0.4, -1.0)), (tint * strength).tolist(), shadow=False)
+    scene.add_directional_light((-0.5, -0.6, -0.8), (tint * strength * 0.4).tolist(), shadow=False)
+
+
+@cache
+def _configure_renderer() -> None:
+    render.set_camera_shader_dir("default")
+    try:
+        render.RenderSystem()
+    except Exception as error:  # SAPIEN raises RuntimeError or a pybind error depending on what is missing
+        raise RenderError(
+            f"no Vulkan device can render: {error}", "run: bash scripts/install_vulkan.sh, then resync-robot doctor"
+        ) from None
+
+
+def camera_pose_in_world(component: render.RenderCameraComponent) -> np.ndarray:
+    """(4, 4) world_T_cam in OpenCV axes, as simulated."""
+    axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+    return component.global_pose.to_transformation_matrix() @ axes.T
+
+
+def features_of(pose: sapien.Pose) -> np.ndarray:
+    """(7,) x y z qw qx qy qz with qw >= 0."""
+    return features_from_pose(pose.to_transformation_matrix())

@@ -1,0 +1,194 @@
+"""One simulated robot among objects: a `Simulator` for training, and the physics behind the simulated driver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from sapien import Pose
+
+from resync_robot.core import kinematics, spatial
+from resync_robot.core.errors import UnknownNameError
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import Rig
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.core.task import Task
+from resync_robot.core.vocabulary import BLOCK, ROBOT
+from resync_robot.core.world import CameraFrame, Observation
+from sim_training.scene import (
+    DAMPING,
+    PERIOD,
+    STIFFNESS,
+    TORQUE,
+    BuiltScene,
+    build_scene,
+    camera_pose_in_world,
+    features_of,
+)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What `SimWorld.restore` needs."""
+
+    time: float
+    qpos: np.ndarray
+    qvel: np.ndarray
+    target: JointTarget
+    bodies: dict[Object, tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+class SimWorld:
+    """SAPIEN behind `core.world.Simulator`, and behind the driver's physics protocol.
+
+    Args:
+        task: what stands where, and the physics drawn for it.
+        rig: the arm, gripper and cameras.
+        rendered: build visuals and cameras, so that `render` works.
+    """
+
+    period = PERIOD
+
+    def __init__(self, task: Task, rig: Rig, rendered: bool = False) -> None:
+        self.task, self.rig = task, rig
+        self.built: BuiltScene = build_scene(task, rig, rendered)
+        self.time = 0.0
+        self.robot_object = next(o for o in task.objects if o.type == ROBOT)
+        self._blocks = [o for o in task.objects if o.type == BLOCK]
+        self._gain = float(task.physics.get("gain", 1.0))
+        self._torque = np.asarray(TORQUE)
+        self._world_T_base = rig.arm.world_T_base
+        self._flange_T_tip = rig.gripper.flange_T_tip
+        self._target = JointTarget(rig.arm.home.copy(), rig.gripper.max_opening)
+        self._hooks: list[Callable[[SimWorld], None]] = []
+        self.built.set_configuration(self._target.arm, self._target.opening)
+
+    def on_step(self, hook: Callable[[SimWorld], None]) -> None:
+        """Call `hook` after every physics step (contact monitors, video)."""
+        self._hooks.append(hook)
+
+    def limit_torque(self, torque: tuple[float, ...] | None) -> None:
+        """(6,) N m for the arm, or None for the arm's own limits."""
+        self._torque = np.asarray(torque if torque is not None else TORQUE)
+        self.built.set_torque_limits(tuple(self._torque))
+
+    def drive(self, q: np.ndarray, opening: float) -> None:
+        """Set the joint drives' targets; nothing moves until `step`."""
+        self._target = JointTarget(np.asarray(q, dtype=np.float64), float(opening))
+        self.built.drive(q, opening)
+
+    def step(self) -> None:
+        """Advance one physics period."""
+        self.built.scene.step()
+        self.time += PERIOD
+        for hook in self._hooks:
+            hook(self)
+
+    def act(self, target: JointTarget, duration: float) -> None:
+        """Move the drives' targets to `target` in equal increments over `duration` seconds."""
+        steps = max(1, round(duration / PERIOD))
+        begin = self._target
+        for i in range(1, steps + 1):
+            s = i / steps
+            self.drive(begin.arm + s * (target.arm - begin.arm), begin.opening + s * (target.opening - begin.opening))
+            self.step()
+
+    def measure(self) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+        """(6,) rad, (6,) rad/s, opening in m, (3,) N force of the world on the hand, world frame."""
+        qpos, qvel = self.built.robot.qpos.astype(np.float64), self.built.robot.qvel.astype(np.float64)
+        q, qd = qpos[self.built.arm_index], qvel[self.built.arm_index]
+        return q, qd, float(qpos[self.built.finger_index].sum()), self._tip_force(q, qd)
+
+    def observe(self) -> Observation:
+        q, qd, opening, force = self.measure()
+        return Observation(self.time, q, qd, opening, force, self.state(q, opening))
+
+    def perceive(self) -> State:
+        """The true state: an oracle, for training and for measuring what perception costs."""
+        q, _, opening, _ = self.measure()
+        return self.state(q, opening)
+
+    def state(self, q: np.ndarray, opening: float) -> State:
+        features = {o: self.task.initial[o] for o in self.task.objects}
+        features[self.robot_object] = robot_features(self.rig, q, opening)
+        for obj in self._blocks:
+            pose = self.built.rigid[obj].entity_pose
+            features[obj] = np.concatenate([features_of(pose), self.task.initial[obj][7:]])
+        return State(features)
+
+    def place(self, obj: Object, features: np.ndarray) -> None:
+        """Put a block at rest at (7,) x y z qw qx qy qz."""
+        body = self.built.rigid[obj]
+        body.entity.set_pose(Pose(np.asarray(features[:3]), np.asarray(features[3:7])))
+        body.linear_velocity, body.angular_velocity = np.zeros(3), np.zeros(3)
+        body.wake_up()
+
+    def save(self) -> Snapshot:
+        bodies = {}
+        for obj in self._blocks:
+            body = self.built.rigid[obj]
+            bodies[obj] = (features_of(body.entity_pose), body.linear_velocity.copy(), body.angular_velocity.copy())
+        robot = self.built.robot
+        return Snapshot(self.time, robot.qpos.copy(), robot.qvel.copy(), self._target, bodies)
+
+    def restore(self, snapshot: Snapshot) -> None:
+        self.time = snapshot.time
+        self.built.robot.set_qpos(snapshot.qpos)
+        self.built.robot.set_qvel(snapshot.qvel)
+        self.drive(snapshot.target.arm, snapshot.target.opening)
+        for obj, (pose, linear, angular) in snapshot.bodies.items():
+            self.place(obj, pose)
+            self.built.rigid[obj].linear_velocity, self.built.rigid[obj].angular_velocity = linear, angular
+
+    def hand_contacts(self) -> list[tuple[Object | None, float]]:
+        """What the hand touches now and with which force in N; None stands for the table."""
+        named = {entity: obj for obj, entity in self.built.bodies.items()}
+        hand = {link.entity for link in self.built.hand}
+        found: dict[Object | None, float] = {}
+        for contact in self.built.scene.get_contacts():
+            first, second = (b.entity for b in contact.bodies)
+            if (first in hand) == (second in hand):
+                continue
+            impulse = np.sum([p.impulse for p in contact.points], axis=0) if contact.points else np.zeros(3)
+            other = named.get(second if first in hand else first)
+            found[other] = found.get(other, 0.0) + float(np.linalg.norm(impulse)) / PERIOD
+        return sorted(((o, f) for o, f in found.items() if f > 0), key=lambda item: -item[1])
+
+    def render(self, name: str) -> CameraFrame:
+        """A noiseless picture; depth is along the optical axis. Raises UnknownNameError."""
+        if name not in self.built.cameras:
+            raise UnknownNameError("camera", name, list(self.built.cameras))
+        camera = self.built.cameras[name]
+        self.built.scene.update_render()
+        camera.take_picture()
+        colour = (np.clip(camera.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
+        depth = -camera.get_picture("Position")[..., 2]
+        depth = np.clip(np.where(np.isfinite(depth), depth, 0) / CameraFrame.DEPTH_UNIT_M, 0, 65535).astype(np.uint16)
+        return CameraFrame(
+            name, colour, depth, self.rig.camera(name).intrinsics, camera_pose_in_world(camera), self.time
+        )
+
+    def _tip_force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        """From the joint drives' own efforts, as a real arm estimates it from its motor currents."""
+        effort = STIFFNESS * self._gain * (self._target.arm - q) - DAMPING * self._gain * qd
+        effort = np.clip(effort, -self._torque, self._torque)
+        jacobian = tip_jacobian(self.rig, q)
+        wrench, *_ = np.linalg.lstsq(jacobian.T, -effort, rcond=1e-3)
+        return wrench[:3]
+
+
+def robot_features(rig: Rig, q: np.ndarray, opening: float) -> np.ndarray:
+    """(8,) features of the robot: pose of the tip in the world and the opening."""
+    tip = rig.arm.world_T_base @ kinematics.forward(q) @ rig.gripper.flange_T_tip
+    return np.concatenate([spatial.features_from_pose(tip), [opening]])
+
+
+def tip_jacobian(rig: Rig, q: np.ndarray) -> np.ndarray:
+    """(6, 6) linear over angular velocity of the tip in the world, per rad/s of each joint."""
+    frames = rig.arm.world_T_base @ kinematics.link_frames(q)
+    tip = (frames[-1] @ rig.gripper.flange_T_tip)[:3, 3]
+    before = np.concatenate([rig.arm.world_T_base[None], frames[:-1]])
+    axes, origins = before[:, :3, 2], before[:, :3, 3]
+    return np.concatenate([np.cross(axes, tip - origins).T, axes.T])
