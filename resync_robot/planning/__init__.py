@@ -1,0 +1,1 @@
+"""Symbols from states, and plans from symbols."""

@@ -1,0 +1,219 @@
+"""From atoms to a plan: A* over the grounded operators, with pyperplan's search and heuristics.
+
+pyperplan's task is built directly from our ground operators, so no PDDL text is written or parsed on the way.
+Facts are numbered: sets of small integers iterate in one order, whatever the hash seed, and so do the plans.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pyperplan.heuristics.blind import BlindHeuristic
+from pyperplan.heuristics.lm_cut import LmCutHeuristic
+from pyperplan.heuristics.relaxation import hFFHeuristic, hMaxHeuristic
+from pyperplan.search.a_star import astar_search
+from pyperplan.search.searchspace import SearchNode, make_child_node, make_root_node
+from pyperplan.task import Operator as PyperplanOperator
+from pyperplan.task import Task
+
+from resync_robot.core.errors import PlanningError, UnknownNameError
+from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, distinct_products
+
+INFINITY = float("inf")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Ground operators in order, and what finding them cost.
+
+    Attributes:
+        nodes_created: search nodes whose heuristic was computed until this plan was found.
+        seconds: grounding included.
+    """
+
+    steps: tuple[GroundOperator, ...]
+    nodes_created: int
+    seconds: float
+
+    def __str__(self) -> str:
+        return ", ".join(map(str, self.steps)) or "(nothing to do)"
+
+
+class _LmCut(LmCutHeuristic):  # type: ignore[misc]
+    """LM-cut in a fixed order; pyperplan's own formats a log line for every operator of every cut."""
+
+    def find_cut(self, state: Any) -> list[Any]:
+        return sorted(super().find_cut(state), key=lambda op: op.name)
+
+    def __call__(self, node: SearchNode) -> float:
+        goal = self.relaxed_facts[self.explicit_goal]
+        self.dead_end = True
+        self.compute_hmax(node.state, True)
+        if goal.hmax_value == INFINITY:
+            return INFINITY
+        value = 0.0
+        while goal.hmax_value != 0:
+            self.goal_plateau.clear()
+            self.compute_goal_plateau(self.explicit_goal)
+            cut = self.find_cut(node.state)
+            cost = min(op.cost for op in cut)
+            value += cost
+            for op in cut:
+                op.cost -= cost
+            self.compute_hmax_from_last_cut(node.state, cut)
+        return INFINITY if self.dead_end else value
+
+
+HEURISTICS: dict[str, Callable[[Task], Callable[[SearchNode], float]]] = {
+    "lmcut": _LmCut,
+    "hmax": hMaxHeuristic,
+    "hff": hFFHeuristic,
+    "blind": BlindHeuristic,
+}
+"""The first two and the last never overestimate, so plans are shortest; hFF is faster and may not be."""
+
+
+class _TooManyNodes(Exception):
+    pass
+
+
+def plan(
+    operators: Iterable[Operator],
+    objects: Iterable[Object],
+    atoms: Atoms,
+    goal: Atoms,
+    heuristic: str = "lmcut",
+    max_nodes: int = 50_000,
+) -> Plan:
+    """The first plan that A* finds; always the same one for the same input.
+
+    Raises:
+        PlanningError: no plan reaches the goal, or none was found within `max_nodes`.
+        UnknownNameError: the heuristic does not exist.
+    """
+    start = time.perf_counter()
+    problem = _Problem(operators, objects, atoms, goal)
+    estimate = problem.heuristic(heuristic)
+    created = 0
+
+    def counted(node: SearchNode) -> float:
+        nonlocal created
+        if created >= max_nodes:
+            raise _TooManyNodes
+        created += 1
+        return estimate(node)
+
+    try:
+        found = astar_search(problem.task, counted)
+    except _TooManyNodes:
+        raise PlanningError(f"no plan for {_words(goal)} within {max_nodes} search nodes") from None
+    if found is None:
+        raise PlanningError(f"no plan reaches {_words(goal)}{problem.why_not()}")
+    return Plan(problem.steps(found), created, time.perf_counter() - start)
+
+
+def plans(
+    operators: Iterable[Operator],
+    objects: Iterable[Object],
+    atoms: Atoms,
+    goal: Atoms,
+    count: int,
+    heuristic: str = "lmcut",
+    max_nodes: int = 2_000,
+) -> tuple[Plan, ...]:
+    """Up to `count` different plans in the order A* meets them, fewer where there are no more within `max_nodes`.
+
+    Each carries the nodes created since the search began. A state is expanded at most `count` times: a plan that
+    needs it once more has `count` plans before it already, so the search also ends where the goal is out of reach.
+    """
+    start = time.perf_counter()
+    problem = _Problem(operators, objects, atoms, goal)
+    estimate = problem.heuristic(heuristic)
+    values: dict[frozenset[int], float] = {}
+
+    def h(node: SearchNode) -> float:
+        if node.state not in values:
+            values[node.state] = estimate(node)
+        return values[node.state]
+
+    root = make_root_node(problem.task.initial_state)
+    created = 1
+    queue: list[tuple[float, float, int, SearchNode]] = []
+    if h(root) < INFINITY:
+        queue.append((h(root), 0.0, created, root))
+    expanded: dict[frozenset[int], int] = {}
+    found: list[Plan] = []
+    while queue and len(found) < count and created < max_nodes:
+        _, _, _, node = heapq.heappop(queue)
+        if expanded.get(node.state, 0) >= count:
+            continue
+        expanded[node.state] = expanded.get(node.state, 0) + 1
+        if problem.task.goal_reached(node.state):
+            steps = problem.steps(node.extract_solution())
+            found.append(Plan(steps, created, time.perf_counter() - start))
+            continue
+        for op, state in problem.task.get_successor_states(node.state):
+            child = make_child_node(node, op, state)
+            created += 1
+            if (value := h(child)) < INFINITY:
+                heapq.heappush(queue, (child.g + value, value, created, child))
+    return tuple(found)
+
+
+def ground_all(operators: Iterable[Operator], objects: Iterable[Object]) -> list[GroundOperator]:
+    """Every well-typed grounding with distinct objects, sorted by name and objects."""
+    pool = sorted(objects)
+    return [
+        op.ground(args)
+        for op in sorted(operators, key=lambda o: o.name)
+        for args in distinct_products([[o for o in pool if o.type == v.type] for v in op.parameters])
+    ]
+
+
+class _Problem:
+    """A pyperplan task with numbered facts. Only facts that some precondition or the goal asks for are kept."""
+
+    def __init__(self, operators: Iterable[Operator], objects: Iterable[Object], atoms: Atoms, goal: Atoms) -> None:
+        if not goal:
+            raise PlanningError("the goal is empty: there is nothing to plan for")
+        self.goal, self.atoms = goal, atoms
+        self.ground = ground_all(operators, objects)
+        asked = sorted(goal.union(*(op.preconditions for op in self.ground)))
+        number = {atom: i for i, atom in enumerate(asked, start=1)}
+
+        def facts(of: Iterable[Atom]) -> frozenset[int]:
+            return frozenset(sorted(number[a] for a in of if a in number))
+
+        # Fact 0 always holds and stands for "no precondition": pyperplan's own stand-in is a string.
+        self.task = Task(
+            "task",
+            frozenset(range(len(asked) + 1)),
+            facts(atoms) | {0},
+            facts(goal),
+            [
+                PyperplanOperator(i, facts(op.preconditions) or {0}, facts(op.add), facts(op.delete))
+                for i, op in enumerate(self.ground)
+                if op.add & number.keys()
+            ],
+        )
+
+    def heuristic(self, name: str) -> Callable[[SearchNode], float]:
+        if name not in HEURISTICS:
+            raise UnknownNameError("heuristic", name, list(HEURISTICS))
+        return HEURISTICS[name](self.task)
+
+    def steps(self, found: Sequence[Any]) -> tuple[GroundOperator, ...]:
+        return tuple(self.ground[op.name] for op in found)
+
+    def why_not(self) -> str:
+        reachable = self.atoms.union(*(op.add for op in self.ground))
+        missing = self.goal - reachable
+        return f": nothing achieves {_words(missing)}" if missing else " from the atoms that hold now"
+
+
+def _words(atoms: Atoms) -> str:
+    return ", ".join(str(a) for a in sorted(atoms))
