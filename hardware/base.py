@@ -1,0 +1,143 @@
+"""What every arm, gripper and camera driver looks like, and how it fails. SI units, joints in ARM_JOINTS order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+from jaxtyping import Float
+
+from resync_robot.core.errors import MotionError, ResyncError
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.world import CameraFrame
+
+SERVO_PERIOD = 0.002
+"""Seconds between two setpoints: the controller's tick of 500 Hz."""
+
+
+class RobotError(ResyncError):
+    """The robot, gripper or camera cannot be talked to, or is in a state in which it must not move."""
+
+
+class SafetyError(MotionError):
+    """A setpoint that was refused before it was sent. Nothing of the refused motion reached the robot.
+
+    Attributes:
+        quantity: what was violated: 'shape', 'finite', 'position', 'velocity', 'acceleration', 'jerk',
+            'opening', 'opening speed' or 'floor'.
+        joint: name of the joint, or 'gripper', 'tip', 'flange'.
+        value, limit: what was asked and what is allowed, SI units.
+    """
+
+    def __init__(self, quantity: str, joint: str, value: float, limit: float, what: str, fix: str = "") -> None:
+        super().__init__(what, fix)
+        self.quantity, self.joint, self.value, self.limit = quantity, joint, value, limit
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """One measurement of the robot.
+
+    Attributes:
+        time: s on the robot's clock.
+        q: (6,) joint positions, rad.
+        qd: (6,) joint velocities, rad/s.
+        tip_force: (3,) force that the world exerts on the hand, N, world frame.
+        opening: measured free distance between the finger pads, m.
+    """
+
+    time: float
+    q: Float[np.ndarray, "6"]
+    qd: Float[np.ndarray, "6"]
+    tip_force: Float[np.ndarray, "3"]
+    opening: float
+
+
+@dataclass(frozen=True, slots=True)
+class GripperState:
+    """Attributes: `opening` between the pads in m; `object_detected` when the pads stopped short of the request."""
+
+    opening: float
+    object_detected: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What a skill asked for and what went to the robot at `time` (s, robot's clock)."""
+
+    time: float
+    requested: JointTarget
+    sent: JointTarget
+
+
+class Device(Protocol):
+    """Something that is connected, used, and closed; `close` may be called twice."""
+
+    def connect(self) -> None:
+        """Raises RobotError when the device does not answer or is not ready."""
+        ...
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class Robot(Device, Protocol):
+    """An arm with its gripper."""
+
+    def state(self) -> RobotState:
+        """The latest measurement; never waits for a new one. Raises RobotError when it is stale."""
+        ...
+
+    def servo(self, q: Float[np.ndarray, "6"], opening: float) -> None:
+        """Take the next setpoint (rad, m); called every SERVO_PERIOD, blocks until the tick is due.
+
+        Only `hardware.safety.Guard` calls this. The array belongs to the caller and may change afterwards.
+        """
+        ...
+
+
+class Gripper(Device, Protocol):
+    """A two-finger gripper."""
+
+    def state(self) -> GripperState: ...
+
+    def move(self, opening: float) -> None:
+        """Start moving towards `opening` (m); returns at once."""
+        ...
+
+
+class Camera(Device, Protocol):
+    """An RGB-D camera of the rig."""
+
+    @property
+    def name(self) -> str: ...
+
+    def capture(self) -> CameraFrame:
+        """A picture exposed after this call. Raises RobotError when none arrives."""
+        ...
+
+
+class Connected:
+    """`with device:` for drivers that have `connect` and `close`."""
+
+    def connect(self) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

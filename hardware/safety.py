@@ -1,0 +1,181 @@
+"""The only road to a command: a guard that checks every setpoint before any of its block is sent.
+
+A block is the run of setpoints for one target. It is checked as a whole, so a motion that would break a limit at
+its end is refused before its beginning. Velocity, acceleration and jerk are finite differences over the setpoints
+really sent, seams included: what is checked is what the robot sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from hardware.base import SERVO_PERIOD, Robot, SafetyError
+from resync_robot.core import kinematics
+from resync_robot.core.joints import ARM_JOINTS
+from resync_robot.core.rig import Rig
+
+MAX_GRIPPER_SPEED = 0.25
+"""m/s of pad opening; the specification of the 2F-140."""
+
+# Relative. A third difference over 2 ms of positions known to 1e-15 rad is off by 1e-6 rad/s^3.
+_ROUNDING = 1e-6
+
+_TWIST = [(float(np.cos(a)), float(np.sin(a))) for a in kinematics.ALPHA]
+
+
+class Guard:
+    """Checks setpoints against the rig's limits and hands them to the robot.
+
+    Args:
+        robot: a connected robot.
+        rig: limits, mounting and gripper.
+        table_z: height of the table in the world, m.
+        margin: how far below the table a setpoint may put the tip, m; pressing on things needs a little.
+    """
+
+    def __init__(self, robot: Robot, rig: Rig, table_z: float = 0.0, margin: float = 0.01) -> None:
+        self._robot = robot
+        self._rig = rig
+        self._floor = table_z - margin
+        self._tip_offset = rig.gripper.tip_offset
+        self._base_up = rig.arm.world_T_base[2]
+        # Orders 1, 2, 3 of the differences of position, and the limit on each.
+        arm = rig.arm
+        self._rates = (
+            ("velocity", "rad/s", arm.velocity_limit),
+            ("acceleration", "rad/s^2", arm.acceleration_limit),
+            ("jerk", "rad/s^3", arm.jerk_limit),
+        )
+        self._past = np.zeros((3, 6))
+        self._opening = 0.0
+        self.start()
+
+    @property
+    def last_sent(self) -> Float[np.ndarray, "6"]:
+        """The setpoint that the robot follows now, rad."""
+        return self._past[-1].copy()
+
+    @property
+    def last_opening(self) -> float:
+        return self._opening
+
+    def start(self) -> None:
+        """Take the robot where it is measured, at rest, as the last setpoint: after connecting, after a stop.
+
+        Raises:
+            SafetyError: the measurement is not finite or lies outside the limits.
+        """
+        state = self._robot.state()
+        opening = float(np.clip(state.opening, 0.0, self._rig.gripper.max_opening))
+        self.check_target(np.asarray(state.q, dtype=np.float64), opening)
+        self._past[:] = state.q
+        self._opening = opening
+
+    def check_target(self, q: Float[np.ndarray, "6"], opening: float) -> None:
+        """Refuse a target that could never be sent, whatever the path. Raises SafetyError."""
+        q = np.asarray(q, dtype=np.float64)
+        if q.shape != (6,):
+            raise SafetyError("shape", "arm", float(q.size), 6.0, f"a target has shape {q.shape}, it must be (6,)")
+        self._check_block(q[None], np.array([opening], dtype=np.float64))
+
+    def send(
+        self,
+        setpoints: Float[np.ndarray, "n 6"],
+        openings: Float[np.ndarray, " n"],
+        after_each: Callable[[], None] | None = None,
+    ) -> None:
+        """Check the whole block, then send it, one setpoint every SERVO_PERIOD; call `after_each` after each.
+
+        Raises:
+            SafetyError: a setpoint breaks a limit; nothing of the block was sent.
+        """
+        self._check_block(setpoints, openings)
+        self._check_rates(setpoints, openings)
+        servo = self._robot.servo
+        for q, opening in zip(setpoints, openings.tolist(), strict=True):
+            # Written down first: if the driver raises, the setpoint may already be on its way.
+            self._past[:2] = self._past[1:]
+            self._past[2] = q
+            self._opening = opening
+            servo(q, opening)
+            if after_each is not None:
+                after_each()
+
+    def _check_block(self, setpoints: np.ndarray, openings: np.ndarray) -> None:
+        if setpoints.ndim != 2 or setpoints.shape[1] != 6 or openings.shape != setpoints.shape[:1]:
+            raise SafetyError(
+                "shape", "arm", float(setpoints.size), 6.0,
+                f"setpoints of shape {setpoints.shape} with openings of shape {openings.shape}; allowed: (n, 6), (n,)",
+            )  # fmt: skip
+        if not np.isfinite(setpoints).all():
+            joint = int(np.argwhere(~np.isfinite(setpoints))[0, 1])
+            value = float(setpoints[~np.isfinite(setpoints)][0])
+            raise SafetyError(
+                "finite", ARM_JOINTS[joint], value, np.inf, f"{ARM_JOINTS[joint]} is asked to go to {value}"
+            )
+        self._compare("position", "rad", setpoints, kinematics.JOINT_LIMIT)
+        widest = self._rig.gripper.max_opening
+        if not ((openings >= 0.0) & (openings <= widest)).all():
+            wrong = float(openings[~((openings >= 0.0) & (openings <= widest))][0])
+            raise SafetyError(
+                "opening", "gripper", wrong, widest, f"opening of {wrong:.4f} m; allowed: 0 to {widest:.3f} m"
+            )
+        self._check_floor(setpoints)
+
+    def _check_floor(self, setpoints: np.ndarray) -> None:
+        flange, tip = heights(setpoints, self._base_up, self._tip_offset)
+        for name, height in (("tip", tip), ("flange", flange)):
+            lowest = float(height.min())
+            if lowest < self._floor:
+                raise SafetyError(
+                    "floor", name, lowest, self._floor,
+                    f"the {name} would be at height {lowest:.4f} m; the lowest allowed is {self._floor:.4f} m",
+                    "raise the target, or check the table's height and world_T_base in the rig file",
+                )  # fmt: skip
+
+    def _check_rates(self, setpoints: np.ndarray, openings: np.ndarray) -> None:
+        difference = np.concatenate([self._past, setpoints])
+        for order, (quantity, unit, limit) in enumerate(self._rates, start=1):
+            difference = np.diff(difference, axis=0) / SERVO_PERIOD
+            # The first rows of a lower order lie in the past and were checked then.
+            self._compare(quantity, unit, difference[3 - order :], limit * (1 + _ROUNDING))
+        steps = np.abs(np.diff(openings, prepend=self._opening)) / SERVO_PERIOD
+        if steps.max(initial=0.0) > MAX_GRIPPER_SPEED * (1 + _ROUNDING):
+            fastest = float(steps.max())
+            raise SafetyError(
+                "opening speed", "gripper", fastest, MAX_GRIPPER_SPEED,
+                f"the opening would change at {fastest:.3f} m/s; allowed: {MAX_GRIPPER_SPEED} m/s",
+            )  # fmt: skip
+
+    def _compare(self, quantity: str, unit: str, values: np.ndarray, limit: np.ndarray) -> None:
+        excess = np.abs(values) > limit
+        if excess.any():
+            row, joint = (int(i) for i in np.argwhere(excess)[0])
+            value, allowed = float(values[row, joint]), float(limit[joint])
+            raise SafetyError(
+                quantity, ARM_JOINTS[joint], value, allowed,
+                f"{ARM_JOINTS[joint]} would have {quantity} {value:.4g} {unit}, setpoint {row + 1} of {len(values)}; "
+                f"allowed: +-{allowed:.4g} {unit}",
+            )  # fmt: skip
+
+
+def heights(
+    q: Float[np.ndarray, "n 6"], base_up: Float[np.ndarray, "4"], tip_offset: float
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Heights of flange and tip in the world, m; `base_up` is the third row of world_T_base.
+
+    Carries one row (the world's up axis, seen from each frame in turn) instead of whole matrices: a fifth of the
+    time of `kinematics.forward`, which counts at 500 Hz.
+    """
+    cos, sin = np.cos(q.T), np.sin(q.T)
+    x, y, z = (np.asarray(v) for v in base_up[:3])
+    height = np.full(q.shape[0], float(base_up[3]))
+    for i in range(6):
+        ca, sa = _TWIST[i]
+        along, across = cos[i] * x + sin[i] * y, sin[i] * x - cos[i] * y
+        height = height + kinematics.A[i] * along + kinematics.D[i] * z
+        x, y, z = along, sa * z - ca * across, sa * across + ca * z
+    return height, height + tip_offset * z

@@ -1,0 +1,217 @@
+"""From targets at the skill's rate (10-50 Hz) to setpoints at 500 Hz, within velocity, acceleration and jerk limits.
+
+Each target starts one time-optimal, jerk-limited trajectory from the last COMMANDED position, velocity and
+acceleration (a measured pose would feed the tracking error back), so there is no jump where targets meet. The arm is
+asked to arrive with the speed at which the targets move, but no faster than it can stop from within OVERSHOOT.
+Why, measured on the simulated rig's limits: arriving with the full speed overshoots a target that stops by 37 mrad
+at 0.5 rad/s and 9 mrad at 0.2 rad/s; arriving at rest makes slow 10 Hz targets stop and go (velocity ripple 67 % at
+0.1 rad/s, 33 % this way). What remains is a lag: 14 ms on a ramp of 0.05 rad/s, 49 ms at 0.2, 63 ms for 0.05 rad
+every 0.1 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError, Trajectory
+
+from hardware.base import SERVO_PERIOD, Command, Robot, RobotState
+from hardware.safety import MAX_GRIPPER_SPEED, Guard
+from resync_robot.core.errors import MotionError
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import Rig
+
+OVERSHOOT = 1e-3
+"""rad; 0.8 mm at the tip of the stretched arm."""
+MIN_GRIPPER_SPEED = 0.03
+"""m/s of pad opening; the 2F-140 moves no slower."""
+JERK_SHARES = (1.0, 0.999, 0.99, 0.9)
+"""Of the jerk limit, tried in turn: the generator's root finding fails where two kinds of profile meet exactly
+(from rest over 2 a^3 / j^2, for one: 0.16 rad here), and another jerk moves that point away."""
+STILL = 0.02
+"""rad/s below which a settled joint counts as at rest."""
+
+Recorder = Callable[[RobotState, Command], None]
+
+
+class Stream:
+    """Feeds one robot. Not thread-safe: one skill drives at a time.
+
+    Args:
+        robot: a connected robot; it is taken where it stands, at rest.
+        rig: limits, mounting and gripper.
+        recorders: called `record_hz` times a second with the measurement and the command of that moment.
+        gripper_speed: m/s at which the opening changes, MIN_GRIPPER_SPEED to MAX_GRIPPER_SPEED.
+        guard: the safety gate, where other heights than the default are wanted.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        rig: Rig,
+        *,
+        recorders: list[Recorder] | None = None,
+        record_hz: float = 50.0,
+        gripper_speed: float = 0.15,
+        guard: Guard | None = None,
+    ) -> None:
+        if not MIN_GRIPPER_SPEED <= gripper_speed <= MAX_GRIPPER_SPEED:
+            raise MotionError(
+                f"gripper speed {gripper_speed} m/s; allowed: {MIN_GRIPPER_SPEED} to {MAX_GRIPPER_SPEED} m/s"
+            )
+        if not 1.0 <= record_hz <= 1.0 / SERVO_PERIOD:
+            raise MotionError(f"recording at {record_hz} Hz; allowed: 1 to {1 / SERVO_PERIOD:.0f} Hz")
+        self.recorders: list[Recorder] = list(recorders or [])
+        self._robot = robot
+        self._guard = guard or Guard(robot, rig)
+        self._record_every = round(1.0 / record_hz / SERVO_PERIOD)
+        self._since_record = 0
+        self._gripper_step = gripper_speed * SERVO_PERIOD
+        self._planner = Ruckig(6, SERVO_PERIOD)
+        self._input = InputParameter(6)
+        self._input.max_velocity = rig.arm.velocity_limit.tolist()
+        self._input.max_acceleration = rig.arm.acceleration_limit.tolist()
+        self._jerk = {share: (share * rig.arm.jerk_limit).tolist() for share in JERK_SHARES}
+        self._input.target_acceleration = [0.0] * 6
+        self._trajectory = Trajectory(6)
+        # Stopping from v at jerk j takes the distance v * sqrt(v / j), hence the fastest v for OVERSHOOT.
+        self._arrival_limit = np.minimum(
+            (OVERSHOOT * np.sqrt(rig.arm.jerk_limit)) ** (2.0 / 3.0), rig.arm.velocity_limit
+        )
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin again where the robot is measured, at rest: after a stop that this stream did not command."""
+        self._guard.start()
+        here = self._guard.last_sent
+        self._position, self._velocity, self._acceleration = here, np.zeros(6), np.zeros(6)
+        self._target = JointTarget(here.copy(), self._guard.last_opening)
+        self._target_velocity = np.zeros(6)
+
+    @property
+    def target(self) -> JointTarget:
+        """The last target asked for."""
+        return self._target
+
+    def run(self, target: JointTarget, duration: float) -> Command:
+        """Move towards `target` for `duration` seconds of robot time; blocks until its last setpoint is sent.
+
+        Returns:
+            The last setpoint sent, beside the target that was requested.
+
+        Raises:
+            SafetyError: the target or the way to it breaks a limit. The arm has then been braked to rest within its
+                limits; nothing of the refused motion was sent.
+        """
+        count = self._count(duration)
+        try:
+            self._guard.check_target(target.arm, target.opening)
+            arm = np.array(target.arm, dtype=np.float64)
+            velocity = (arm - self._target.arm) / duration
+            self._calculate(arm, self._arrival(velocity), count * SERVO_PERIOD)
+            self._send(target, self._sample(count), self._openings(target.opening, count))
+        except MotionError:
+            self.stop()
+            raise
+        after = self._trajectory.at_time(count * SERVO_PERIOD)
+        self._position, self._velocity, self._acceleration = (np.array(part) for part in after)
+        self._target, self._target_velocity = JointTarget(arm, float(target.opening)), velocity
+        return self._command(target)
+
+    def settle(self, tolerance: float = 2e-3, timeout: float = 3.0) -> bool:
+        """Hold the last target until every joint is within `tolerance` rad of it and at rest.
+
+        Returns:
+            False when `timeout` seconds of robot time pass first (the arm is held off by contact, say).
+        """
+        slice_s = 10 * SERVO_PERIOD
+        for _ in range(max(1, round(timeout / slice_s))):
+            self.run(self._target, slice_s)
+            state = self._robot.state()
+            arrived = np.abs(state.q - self._target.arm).max() <= tolerance and np.abs(state.qd).max() <= STILL
+            if arrived and self._guard.last_opening == self._target.opening:
+                return True
+        return False
+
+    def stop(self) -> None:
+        """Brake to rest as fast as the limits allow and hold there.
+
+        Raises:
+            SafetyError: even braking would break a limit (the floor, say); the robot then gets no more setpoints.
+        """
+        if np.any(self._velocity) or np.any(self._acceleration):
+            plan = self._input
+            plan.control_interface = ControlInterface.Velocity
+            try:
+                self._calculate(np.zeros(6), np.zeros(6), 0.0)
+            finally:
+                plan.control_interface = ControlInterface.Position
+            count = int(np.ceil(self._trajectory.duration / SERVO_PERIOD)) + 1
+            setpoints = self._sample(count)
+            end = JointTarget(setpoints[-1].copy(), self._guard.last_opening)
+            self._send(end, setpoints, np.full(count, self._guard.last_opening))
+            self._position = setpoints[-1].copy()
+        self._velocity, self._acceleration = np.zeros(6), np.zeros(6)
+        self._target = JointTarget(self._position.copy(), self._guard.last_opening)
+        self._target_velocity = np.zeros(6)
+
+    def _count(self, duration: float) -> int:
+        if not (np.isfinite(duration) and SERVO_PERIOD <= duration <= 60.0):
+            raise MotionError(f"a target for {duration} s; allowed: {SERVO_PERIOD} to 60 s")
+        return round(duration / SERVO_PERIOD)
+
+    def _arrival(self, velocity: np.ndarray) -> np.ndarray:
+        """The speed to arrive with: that of the slower of the last two steps of the target, if they agree."""
+        slower = np.minimum(np.abs(velocity), np.abs(self._target_velocity))
+        agree = velocity * self._target_velocity > 0
+        return np.where(agree, np.sign(velocity) * np.minimum(slower, self._arrival_limit), 0.0)
+
+    def _calculate(self, arm: np.ndarray, arrival: np.ndarray, at_least: float) -> None:
+        plan = self._input
+        plan.current_position = self._position.tolist()
+        plan.current_velocity = self._velocity.tolist()
+        plan.current_acceleration = self._acceleration.tolist()
+        plan.target_position = arm.tolist()
+        plan.target_velocity = arrival.tolist()
+        plan.minimum_duration = at_least
+        failure = ""
+        for share in JERK_SHARES:
+            plan.max_jerk = self._jerk[share]
+            try:
+                result = self._planner.calculate(plan, self._trajectory)
+            except RuckigError as error:
+                failure = str(error).strip().splitlines()[0]
+                continue
+            if result in (Result.Working, Result.Finished):
+                return
+            failure = result.name
+        raise MotionError(f"no trajectory to the target {np.array2string(arm, precision=4)} rad: {failure}")
+
+    def _sample(self, count: int) -> np.ndarray:
+        at_time = self._trajectory.at_time
+        return np.array([at_time(k * SERVO_PERIOD)[0] for k in range(1, count + 1)])
+
+    def _openings(self, wanted: float, count: int) -> np.ndarray:
+        start = self._guard.last_opening
+        reach = self._gripper_step * np.arange(1, count + 1)
+        return np.clip(wanted, start - reach, start + reach)
+
+    def _send(self, requested: JointTarget, setpoints: np.ndarray, openings: np.ndarray) -> None:
+        if not self.recorders:
+            self._guard.send(setpoints, openings)
+            return
+
+        def record() -> None:
+            self._since_record += 1
+            if self._since_record >= self._record_every:
+                self._since_record = 0
+                state, command = self._robot.state(), self._command(requested)
+                for recorder in self.recorders:
+                    recorder(state, command)
+
+        self._guard.send(setpoints, openings, after_each=record)
+
+    def _command(self, requested: JointTarget) -> Command:
+        sent = JointTarget(self._guard.last_sent, self._guard.last_opening)
+        return Command(self._robot.state().time, requested, sent)

@@ -1,0 +1,166 @@
+"""No setpoint outside the limits reaches the robot, whatever is asked."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from hardware.base import SERVO_PERIOD, SafetyError
+from hardware.safety import MAX_GRIPPER_SPEED, Guard, heights
+from resync_robot.core import kinematics, spatial
+from resync_robot.core.joints import ARM_JOINTS
+
+FEW = settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture
+def robot(perfect_robot, rig):
+    return perfect_robot(rig.arm.home)
+
+
+@pytest.fixture
+def guard(robot, rig):
+    return Guard(robot, rig)
+
+
+def hold(guard, n=1):
+    return np.repeat(guard.last_sent[None], n, axis=0), np.full(n, guard.last_opening)
+
+
+def test_holding_still_is_sent(guard, robot):
+    guard.send(*hold(guard, 5))
+    assert len(robot.sent) == 5
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_not_finite_names_the_joint_and_sends_nothing(guard, robot, bad):
+    setpoints, openings = hold(guard, 4)
+    setpoints[3, 2] = bad
+    with pytest.raises(SafetyError) as caught:
+        guard.send(setpoints, openings)
+    assert (caught.value.quantity, caught.value.joint) == ("finite", "elbow_joint")
+    assert robot.sent == []
+
+
+@pytest.mark.parametrize("shape", [(5,), (7,), (1, 6), ()])
+def test_wrong_length_of_target(guard, shape):
+    with pytest.raises(SafetyError, match="shape"):
+        guard.check_target(np.zeros(shape), 0.1)
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (3, 7), (6,)])
+def test_wrong_length_of_block(guard, robot, shape):
+    with pytest.raises(SafetyError, match="shape"):
+        guard.send(np.zeros(shape), np.zeros(3))
+    assert robot.sent == []
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_position_limit_of_each_joint(guard, joint):
+    target = np.array([0.0, -1.5, 0.5, 0.0, 0.0, 0.0])
+    target[joint] = kinematics.JOINT_LIMIT[joint] + 0.01
+    with pytest.raises(SafetyError) as caught:
+        guard.check_target(target, 0.1)
+    error = caught.value
+    assert (error.quantity, error.joint) == ("position", ARM_JOINTS[joint])
+    assert error.value == pytest.approx(target[joint]) and error.limit == kinematics.JOINT_LIMIT[joint]
+
+
+def test_jump_against_the_last_sent_setpoint(guard, robot):
+    setpoints, openings = hold(guard)
+    setpoints[0, 4] += 0.5
+    with pytest.raises(SafetyError) as caught:
+        guard.send(setpoints, openings)
+    assert (caught.value.quantity, caught.value.joint) == ("velocity", "wrist_2_joint")
+    assert caught.value.value == pytest.approx(0.5 / SERVO_PERIOD)
+    assert robot.sent == []
+
+
+def test_acceleration_and_jerk(guard, rig):
+    setpoints, openings = hold(guard)
+    setpoints[0, 0] += 2 * rig.arm.acceleration_limit[0] * SERVO_PERIOD**2
+    with pytest.raises(SafetyError) as caught:
+        guard.send(setpoints, openings)
+    assert caught.value.quantity == "acceleration"
+    setpoints, openings = hold(guard)
+    setpoints[0, 0] += 2 * rig.arm.jerk_limit[0] * SERVO_PERIOD**3
+    with pytest.raises(SafetyError) as caught:
+        guard.send(setpoints, openings)
+    assert caught.value.quantity == "jerk"
+
+
+def test_limits_hold_across_blocks(guard, robot, rig):
+    """A speed that one block may reach slowly must not stop dead at the seam."""
+    ramp = rig.arm.jerk_limit[0] * 0.9 * (np.arange(1, 21) * SERVO_PERIOD) ** 3 / 6
+    setpoints, openings = hold(guard, 20)
+    setpoints[:, 0] += ramp
+    guard.send(setpoints, openings)
+    with pytest.raises(SafetyError) as caught:
+        guard.send(*hold(guard, 3))
+    assert caught.value.quantity == "acceleration" or caught.value.quantity == "jerk"
+    assert len(robot.sent) == 20
+
+
+def test_opening_range_and_speed(guard, rig):
+    for opening in (-0.001, rig.gripper.max_opening + 0.001, np.nan):
+        with pytest.raises(SafetyError) as caught:
+            guard.check_target(rig.arm.home, opening)
+        assert caught.value.quantity == "opening"
+    setpoints, openings = hold(guard)
+    with pytest.raises(SafetyError) as caught:
+        guard.send(setpoints, openings - 2 * MAX_GRIPPER_SPEED * SERVO_PERIOD)
+    assert caught.value.quantity == "opening speed"
+
+
+def test_floor(guard, rig):
+    below = spatial.transform(spatial.rotation_about("x", np.pi), np.array([-0.45, 0.0, rig.gripper.tip_offset - 0.05]))
+    q = kinematics.inverse(below, rig.arm.home)
+    with pytest.raises(SafetyError) as caught:
+        guard.check_target(q, 0.1)
+    assert (caught.value.quantity, caught.value.joint) == ("floor", "tip")
+    assert caught.value.value == pytest.approx(-0.05, abs=1e-6)
+    assert caught.value.limit == pytest.approx(-0.01)
+
+
+@given(arrays(float, (3, 6), elements=st.floats(-6, 6)), arrays(float, 3, elements=st.floats(-3, 3)))
+@FEW
+def test_heights_agree_with_forward_kinematics(q, tilt):
+    world_T_base = spatial.transform(spatial.rotation_from_vector(tilt), np.array([0.1, -0.2, 0.3]))
+    flange = world_T_base @ kinematics.forward(q)
+    tip = flange @ spatial.transform(None, np.array([0, 0, 0.235]))
+    got = heights(q, world_T_base[2], 0.235)
+    np.testing.assert_allclose(got, (flange[:, 2, 3], tip[:, 2, 3]), atol=1e-9)
+
+
+steps = st.one_of(
+    st.floats(-1e-4, 1e-4), st.floats(allow_nan=True, allow_infinity=True), st.sampled_from([1e-7, 6.28e-3, 6.3e-3])
+)
+
+
+@given(st.lists(st.tuples(arrays(float, (2, 6), elements=steps), steps), min_size=1, max_size=8))
+@FEW
+def test_whatever_is_asked_what_is_sent_obeys_the_limits(perfect_robot, rig, blocks):
+    robot = perfect_robot(rig.arm.home)
+    guard = Guard(robot, rig)
+    for change, opening_change in blocks:
+        with np.errstate(all="ignore"):
+            setpoints = guard.last_sent + change
+            openings = np.full(2, guard.last_opening + opening_change)
+        try:
+            guard.send(setpoints, openings)
+        except SafetyError:
+            continue
+    sent = np.array([rig.arm.home] * 3 + robot.sent)
+    assert np.isfinite(sent).all()
+    for limit in (rig.arm.velocity_limit, rig.arm.acceleration_limit, rig.arm.jerk_limit):
+        sent = np.diff(sent, axis=0) / SERVO_PERIOD
+        assert (np.abs(sent) <= limit * (1 + 1e-5)).all()
+    assert (np.abs(np.diff(robot.openings, prepend=0.1)) <= MAX_GRIPPER_SPEED * SERVO_PERIOD * (1 + 1e-5)).all()
+
+
+def test_a_robot_measured_outside_its_limits_is_not_started(perfect_robot, rig):
+    with pytest.raises(SafetyError, match="elbow_joint"):
+        Guard(perfect_robot(np.array([0, -1.5, 3.2, 0, 0, 0])), rig)
