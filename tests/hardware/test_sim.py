@@ -81,4 +81,4 @@ def test_the_drivers_fit_the_protocols(lagging_physics, rig):
     ]
     for driver, protocol in drivers:
         wanted = {n for base in protocol.__mro__ for n in vars(base) if not n.startswith("_")} - {"is_protocol"}
-        assert wanted <= {n for n in dir(driver)}
+        assert wanted <= set(dir(driver))

@@ -1,0 +1,344 @@
+"""One episode as one append-only MCAP file: what was measured, believed, planned, asked, sent, and what happened.
+
+| channel | message |
+|---|---|
+| /meta | EpisodeMeta: rig, library, domain, scenario, goal, seed, versions, frame definitions; once, first |
+| /joints | measured, commanded (sent) and requested joints and openings |
+| /tip_force | force on the hand, N, world frame |
+| /state | the belief about the objects, `State.to_json` |
+| /truth | the same from a simulator that knows; never in a recording of a real robot |
+| /atoms | text of each atom -> probability |
+| /plan | steps, index of the one under way, why it was planned |
+| /event | scan, skill start and end, replan, give-up, goal, stop |
+| /camera/NAME/{info,colour,depth} | intrinsics and pose (JSON), JPEG, 16-bit PNG (unit 1e-4 m, 0 = nothing) |
+| /points | fused cloud in the world: per point 3 float32 (m), 3 uint8 (RGB) |
+
+Times are seconds of the episode (stored as ns). `core.episode_writer` writes such a file; `read_episode` returns
+what is whole of a torn one.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from enum import Enum
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import zstandard
+from jaxtyping import Float, UInt8
+from mcap.records import Channel, Chunk, Footer, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from resync_robot.core.errors import EpisodeError, ResyncError
+from resync_robot.core.joints import ARM_JOINTS, JointTarget
+from resync_robot.core.rig import Rig
+from resync_robot.core.state import State
+from resync_robot.core.vocabulary import TYPES
+
+FORMAT = 1
+MAX_CHUNK_BYTES = 256 * 2**20
+"""A chunk that claims to unpack to more is taken for damage; one picture is far below."""
+
+FRAMES = {
+    "world": "z up, origin on the table; world_T_base in the rig places the arm",
+    "base": "Denavit-Hartenberg base of the arm",
+    "flange": "last DH frame; the gripper closes along its y, the tips lie along its z",
+    "cam": "OpenCV axes: x right, y down, z forward",
+    "quaternions": "w x y z",
+    "joints": list(ARM_JOINTS),
+}
+# One point of a cloud in the file.
+POINT = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
+
+
+class EventKind(Enum):
+    """What may happen in an episode."""
+
+    SCAN = "scan"
+    SKILL_START = "skill start"
+    SKILL_END = "skill end"
+    REPLAN = "replan"
+    GIVE_UP = "give up"
+    GOAL = "goal"
+    STOP = "stop"
+    """A safety refusal or a fault of the robot."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeMeta:
+    """What a recording needs to be understood on its own.
+
+    Attributes:
+        rig: the rig file's content as plain JSON, see `EpisodeMeta.of`.
+        library_hash: content hash of the library used, '' without one.
+        goal: text of the goal's atoms.
+        versions: package or program -> version.
+        frames: frame name -> its definition.
+    """
+
+    rig_hash: str
+    rig: Mapping[str, Any]
+    library_hash: str
+    domain: str
+    scenario: str
+    goal: str
+    seed: int
+    backend: str
+    versions: Mapping[str, str] = field(default_factory=dict)
+    frames: Mapping[str, Any] = field(default_factory=lambda: dict(FRAMES))
+
+    @staticmethod
+    def of(rig: Rig, **others: Any) -> EpisodeMeta:
+        """The meta data with the rig's part filled in; `others` are the remaining fields."""
+        return EpisodeMeta(rig_hash=rig.hash, rig=plain(asdict(rig)), **others)
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Attributes: `measured` (6,) rad, `velocity` (6,) rad/s, `opening` m; the setpoint `sent` and the `requested`."""
+
+    time: float
+    measured: Float[np.ndarray, "6"]
+    velocity: Float[np.ndarray, "6"]
+    opening: float
+    sent: JointTarget
+    requested: JointTarget
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Attributes: `steps` as text, `current` index of the one under way (None: not begun), `reason` for planning."""
+
+    time: float
+    steps: tuple[str, ...]
+    current: int | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class Event:
+    """Attributes: `text` for people, `details` plain JSON for programs."""
+
+    time: float
+    kind: EventKind
+    text: str
+    details: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An encoded RGB-D picture. `colour` (JPEG) and `depth` (16-bit PNG, 1e-4 m) are None where the file is torn."""
+
+    time: float
+    camera: str
+    intrinsics: Float[np.ndarray, "3 3"]
+    world_T_cam: Float[np.ndarray, "4 4"]
+    width: int
+    height: int
+    colour: bytes | None
+    depth: bytes | None
+
+
+@dataclass(frozen=True)
+class Points:
+    """Attributes: `xyz` (n, 3) float32 m in the world, `rgb` (n, 3) uint8."""
+
+    time: float
+    xyz: Float[np.ndarray, "n 3"]
+    rgb: UInt8[np.ndarray, "n 3"]
+
+
+def plain(value: Any) -> Any:
+    """JSON values only; arrays become lists, numbers that JSON has no word for (NaN, infinities) become null."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def read_episode(path: Path) -> Episode:
+    """Read a recording; of a torn or damaged one, everything before the damage.
+
+    Raises:
+        EpisodeError: no such file, no MCAP, no recording of this program, or of another format version.
+    """
+    messages: dict[str, list[tuple[float, bytes]]] = {}
+    damage: str | None = "the file ends early"
+    try:
+        with path.open("rb") as file:
+            reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size)
+            topics: dict[int, str] = {}
+            try:
+                for record in reader.records:
+                    for inner in _unpack(record) if isinstance(record, Chunk) else (record,):
+                        if isinstance(inner, Channel):
+                            topics[inner.id] = inner.topic
+                        elif isinstance(inner, Message):
+                            messages.setdefault(topics[inner.channel_id], []).append((inner.log_time / 1e9, inner.data))
+                    if isinstance(record, Footer):
+                        damage = None
+            # The decoders are handed a file from anywhere and promise no list of exceptions; what they raise means
+            # that the file is not whole from here on.
+            except Exception as error:
+                damage = f"{type(error).__name__} after {sum(map(len, messages.values()))} messages"
+    except OSError as error:
+        raise EpisodeError(f"cannot read the recording {path}: {error.strerror}", "give a file *.mcap") from None
+    if not messages.get("/meta"):
+        reason = damage or "it has no channel /meta"
+        raise EpisodeError(f"{path} is no recording of this program, or torn at its start: {reason}")
+    content = _parse(path, "/meta", messages["/meta"][0][1])
+    if content.pop("format", None) != FORMAT:
+        raise EpisodeError(f"{path} has another format than {FORMAT}", "read it with the program that wrote it")
+    try:
+        meta = EpisodeMeta(**content)
+    except TypeError as error:
+        raise EpisodeError(f"{path}: /meta is incomplete: {error}") from None
+    return Episode(path, meta, damage, messages)
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A recording in memory. Iterators yield in order of writing and raise EpisodeError on a message that makes no
+    sense.
+
+    Attributes:
+        damage: None for a whole file, else what is wrong with its end.
+        messages: topic -> (time in s, raw message).
+    """
+
+    path: Path
+    meta: EpisodeMeta
+    damage: str | None
+    messages: Mapping[str, list[tuple[float, bytes]]] = field(repr=False)
+
+    @property
+    def duration(self) -> float:
+        """Time of the latest message, s."""
+        return max(time for channel in self.messages.values() for time, _ in channel)
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        return tuple(sorted(t.split("/")[2] for t in self.messages if t.startswith("/camera/") and t.endswith("/info")))
+
+    def joints(self) -> Iterator[Joints]:
+        for time, m in self._read("/joints"):
+            with self._sense("/joints", time):
+                sent = JointTarget(_vector(m["sent"], 6), _number(m["sent_opening"]))
+                requested = JointTarget(_vector(m["requested"], 6), _number(m["requested_opening"]))
+                opening = _number(m["opening"])
+                record = Joints(time, _vector(m["measured"], 6), _vector(m["velocity"], 6), opening, sent, requested)
+            yield record
+
+    def tip_force(self) -> Iterator[tuple[float, Float[np.ndarray, "3"]]]:
+        for time, m in self._read("/tip_force"):
+            with self._sense("/tip_force", time):
+                force = _vector(m["force"], 3)
+            yield time, force
+
+    def states(self) -> Iterator[tuple[float, State]]:
+        return self._states("/state")
+
+    def truths(self) -> Iterator[tuple[float, State]]:
+        return self._states("/truth")
+
+    def atoms(self) -> Iterator[tuple[float, dict[str, float]]]:
+        for time, m in self._read("/atoms"):
+            with self._sense("/atoms", time):
+                atoms = {str(atom): _number(p) for atom, p in m["atoms"].items()}
+            yield time, atoms
+
+    def plans(self) -> Iterator[Plan]:
+        for time, m in self._read("/plan"):
+            with self._sense("/plan", time):
+                current = None if m["current"] is None else int(m["current"])
+                plan = Plan(time, tuple(str(s) for s in m["steps"]), current, str(m["reason"]))
+            yield plan
+
+    def events(self) -> Iterator[Event]:
+        for time, m in self._read("/event"):
+            with self._sense("/event", time):
+                event = Event(time, EventKind(m["kind"]), str(m["text"]), dict(m["details"]))
+            yield event
+
+    def pictures(self, camera: str) -> Iterator[Picture]:
+        colours, depths = (dict(self.messages.get(f"/camera/{camera}/{kind}", ())) for kind in ("colour", "depth"))
+        for time, m in self._read(f"/camera/{camera}/info"):
+            with self._sense(f"/camera/{camera}/info", time):
+                intrinsics, pose = _vector(m["intrinsics"], 3, 3), _vector(m["world_T_cam"], 4, 4)
+                size = int(m["width"]), int(m["height"])
+            yield Picture(time, camera, intrinsics, pose, *size, colours.get(time), depths.get(time))
+
+    def points(self) -> Iterator[Points]:
+        for time, data in self.messages.get("/points", ()):
+            if len(data) % POINT.itemsize:
+                raise EpisodeError(f"{self.path}: /points at {time:.3f} s is no whole number of points")
+            cloud = np.frombuffer(data, POINT)
+            yield Points(time, cloud["xyz"], cloud["rgb"])
+
+    def _read(self, topic: str) -> Iterator[tuple[float, dict[str, Any]]]:
+        for time, data in self.messages.get(topic, ()):
+            yield time, _parse(self.path, topic, data)
+
+    def _states(self, topic: str) -> Iterator[tuple[float, State]]:
+        for time, m in self._read(topic):
+            with self._sense(topic, time):
+                state = State.from_json(m["objects"], TYPES)
+            yield time, state
+
+    def _sense(self, topic: str, time: float) -> _Sense:
+        return _Sense(f"{self.path}: the message of {topic} at {time:.3f} s makes no sense")
+
+
+class _Sense:
+    """Turns the errors of reading a strange message into one EpisodeError."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(error, KeyError | ValueError | TypeError | AttributeError | OverflowError | ResyncError):
+            raise EpisodeError(f"{self._what}: {error}") from None
+
+
+def _unpack(chunk: Chunk) -> list[Schema | Channel | Message]:
+    """Records of a chunk, refusing one that would fill the memory."""
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        size = max(size, zstandard.frame_content_size(chunk.data))
+    if size > MAX_CHUNK_BYTES or chunk.compression not in ("zstd", ""):
+        raise ValueError(f"a chunk of {size} bytes, compression '{chunk.compression}'")
+    return breakup_chunk(chunk, validate_crc=True)
+
+
+def _parse(path: Path, topic: str, data: bytes) -> dict[str, Any]:
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise EpisodeError(f"{path}: a message of {topic} is no JSON object")
+    return content
+
+
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _vector(value: Any, *shape: int) -> np.ndarray:
+    """An array of the given shape; null becomes NaN. Raises ValueError or TypeError."""
+    return np.array(value, dtype=np.float64).reshape(shape)

@@ -1,0 +1,281 @@
+"""What is written is read back; what is torn or foreign is an EpisodeError or a prefix, never another exception."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
+from resync_robot.core.episode_writer import EpisodeWriter
+from resync_robot.core.errors import EpisodeError
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import load_rig
+from resync_robot.core.state import State
+from resync_robot.core.vocabulary import BLOCK
+from resync_robot.core.world import CameraFrame
+
+SIX = np.linspace(-1, 1, 6)
+
+
+def meta() -> EpisodeMeta:
+    return EpisodeMeta.of(
+        load_rig(), library_hash="abc", domain="d", scenario="S1", goal="On(b1, b0)", seed=3, backend="sim"
+    )
+
+
+def block_state(x: float) -> State:
+    features = np.array([x, 0, 0.02, 1, 0, 0, 0, 0.06, 0.06, 0.045])
+    return State({BLOCK("b0"): features}, {BLOCK("b0"): np.eye(10) * 1e-6})
+
+
+def write(path, seconds: float = 3.0) -> None:
+    """Fifty joint messages a second, and one of everything else each second."""
+    rng = np.random.default_rng(0)
+    with EpisodeWriter(path, meta()) as writer:
+        for k in range(int(seconds * 50)):
+            t = k * 0.02
+            target = JointTarget(SIX * k, 0.1)
+            writer.joints(t, SIX * k + 0.01, SIX, 0.09, target, target)
+            writer.tip_force(t, np.array([0.0, 1.0, k]))
+            if k % 50 == 0:
+                writer.event(t, EventKind.SCAN, "looked", pose=np.eye(2))
+                writer.state(t, block_state(t))
+                writer.truth(t, block_state(t + 0.001))
+                writer.atoms(t, {"On(b0, b1)": 0.25, "HandEmpty(r)": 1.0})
+                writer.plan(t, ["Pick(r, b0)", "Insert(r, b0, b1)"], k // 50, "first")
+                xyz = rng.normal(size=(200, 3)).astype(np.float32)
+                writer.points(t, xyz, np.full((200, 3), 7, np.uint8))
+                frame = CameraFrame(
+                    "wrist", np.zeros((4, 6, 3), np.uint8), np.zeros((4, 6), np.uint16), np.eye(3) * 2, np.eye(4), t
+                )
+                writer.picture(frame, rng.bytes(3000), b"png")
+        assert writer.error is None
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> bytes:
+    path = tmp_path_factory.mktemp("whole") / "episode.mcap"
+    write(path)
+    return path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory):
+    return tmp_path_factory.mktemp("scratch") / "torn.mcap"
+
+
+def test_round_trip(tmp_path):
+    path = tmp_path / "new" / "folder" / "e.mcap"
+    write(path)
+    episode = read_episode(path)
+    assert episode.damage is None and episode.meta == meta() and episode.cameras == ("wrist",)
+    assert episode.duration == pytest.approx(2.98)
+    joints = list(episode.joints())
+    assert len(joints) == 150
+    np.testing.assert_array_equal(joints[7].measured, SIX * 7 + 0.01)
+    np.testing.assert_array_equal(joints[7].sent.arm, SIX * 7)
+    assert (joints[7].time, joints[7].opening, joints[7].requested.opening) == (0.14, 0.09, 0.1)
+    forces = list(episode.tip_force())
+    np.testing.assert_array_equal(forces[9][1], [0, 1, 9])
+    (t, state), *_ = list(episode.states())[1:]
+    assert t == 1.0 and state == block_state(1.0)
+    np.testing.assert_allclose(state.covariance(BLOCK("b0")), np.eye(10) * 1e-6)
+    assert list(episode.truths())[2][1] == block_state(2.001)
+    assert next(iter(episode.atoms())) == (0.0, {"On(b0, b1)": 0.25, "HandEmpty(r)": 1.0})
+    plan = list(episode.plans())[1]
+    assert plan.steps == ("Pick(r, b0)", "Insert(r, b0, b1)") and (plan.current, plan.reason) == (1, "first")
+    event = next(iter(episode.events()))
+    assert (event.kind, event.text, event.details) == (EventKind.SCAN, "looked", {"pose": [[1.0, 0.0], [0.0, 1.0]]})
+    picture = list(episode.pictures("wrist"))[2]
+    assert (picture.time, picture.width, picture.height, picture.depth) == (2.0, 6, 4, b"png")
+    assert picture.colour is not None and len(picture.colour) == 3000
+    np.testing.assert_array_equal(picture.intrinsics, np.eye(3) * 2)
+    cloud = next(iter(episode.points()))
+    assert cloud.xyz.shape == (200, 3) and cloud.xyz.dtype == np.float32 and (cloud.rgb == 7).all()
+
+
+def test_the_rig_is_in_the_recording():
+    rig = load_rig()
+    recorded = json.loads(json.dumps(meta().rig))
+    np.testing.assert_array_equal(recorded["arm"]["world_T_base"], rig.arm.world_T_base)
+    assert recorded["cameras"][0]["fx"] == rig.cameras[0].fx
+
+
+def test_messages_are_standard_mcap_with_schemas(tmp_path):
+    from mcap.reader import make_reader
+
+    path = tmp_path / "e.mcap"
+    write(path, 1.0)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    channels = {c.topic: c for c in summary.channels.values()}
+    assert set(channels) == {
+        "/meta", "/joints", "/tip_force", "/state", "/truth", "/atoms", "/plan", "/event", "/points",
+        "/camera/wrist/info", "/camera/wrist/colour", "/camera/wrist/depth",
+    }  # fmt: skip
+    schema = summary.schemas[channels["/joints"].schema_id]
+    assert schema.encoding == "jsonschema" and "measured" in json.loads(schema.data)["required"]
+    assert channels["/camera/wrist/colour"].message_encoding == "image/jpeg"
+
+
+def test_not_a_number_survives(tmp_path):
+    path = tmp_path / "e.mcap"
+    with EpisodeWriter(path, meta()) as writer:
+        writer.tip_force(0.0, np.array([np.nan, np.inf, 1.0]))
+    (_, force), *_ = read_episode(path).tip_force()
+    np.testing.assert_array_equal(force, [np.nan, np.nan, 1.0])
+
+
+@given(share=st.floats(0, 1))
+@settings(max_examples=120, deadline=None)
+def test_a_file_cut_anywhere_gives_a_prefix_or_an_error(whole, scratch, share):
+    cut = int(share * (len(whole) - 1))
+    scratch.write_bytes(whole[:cut])
+    try:
+        episode = read_episode(scratch)
+    except EpisodeError:
+        assert cut < 6000, "only the start, before /meta is whole, may be refused"
+        return
+    assert episode.damage is not None
+    times = [j.time for j in episode.joints()]
+    np.testing.assert_allclose(times, np.arange(len(times)) * 0.02)
+    for read in (episode.states, episode.atoms, episode.plans, episode.events, episode.points, episode.tip_force):
+        list(read())
+    list(episode.pictures("wrist"))
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_a_file_altered_anywhere_gives_a_prefix_or_an_error(whole, scratch, data):
+    altered = bytearray(whole)
+    for _ in range(data.draw(st.integers(1, 4))):
+        altered[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    scratch.write_bytes(bytes(altered))
+    try:
+        episode = read_episode(scratch)
+        for read in (episode.joints, episode.states, episode.atoms, episode.plans, episode.events, episode.points):
+            list(read())
+        list(episode.pictures("wrist"))
+    except EpisodeError:
+        pass
+
+
+@given(st.binary(max_size=300))
+@settings(max_examples=100, deadline=None)
+def test_any_other_file_is_refused(scratch, content):
+    scratch.write_bytes(content)
+    with pytest.raises(EpisodeError, match="no recording"):
+        read_episode(scratch)
+
+
+def raw_episode(path, topic: str, message: bytes, record_meta: dict | None = None) -> None:
+    from mcap.writer import Writer
+
+    content = {"format": 1, **{k: getattr(meta(), k) for k in meta().__dataclass_fields__}}
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for name, data in (("/meta", json.dumps(record_meta or content).encode()), (topic, message)):
+            writer.add_message(writer.register_channel(name, "json", 0), log_time=0, data=data, publish_time=0)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    ("topic", "message"),
+    [
+        ("/joints", b"not json"),
+        ("/joints", b"[]"),
+        ("/joints", b'{"measured": [1, 2]}'),
+        ("/joints", b'{"measured": "x", "velocity": {}, "opening": [], "sent": 1}'),
+        ("/state", b'{"objects": {"b0": {"type": "sofa", "features": []}}}'),
+        ("/state", b'{"objects": {"b0": {"type": "block", "features": [1]}}}'),
+        ("/state", b'{"objects": 3}'),
+        ("/atoms", b'{"atoms": {"On": "often"}}'),
+        ("/plan", b'{"steps": 3, "current": 1, "reason": ""}'),
+        ("/plan", b'{"steps": [], "current": 1e999, "reason": ""}'),
+        ("/event", b'{"kind": "party", "text": "", "details": {}}'),
+        ("/event", b"[" * 100_000),
+        ("/camera/a/info", b'{"intrinsics": [[1]]}'),
+        ("/points", b"1234567"),
+    ],
+)
+def test_a_senseless_message_is_an_error_that_names_its_channel(tmp_path, topic, message):
+    path = tmp_path / "e.mcap"
+    raw_episode(path, topic, message)
+    episode = read_episode(path)
+    read = {"/joints": episode.joints, "/state": episode.states, "/atoms": episode.atoms, "/plan": episode.plans,
+            "/event": episode.events, "/points": episode.points}.get(topic, lambda: episode.pictures("a"))  # fmt: skip
+    with pytest.raises(EpisodeError, match=topic):
+        list(read())
+
+
+@pytest.mark.parametrize("content", [{"format": 2}, {"format": 1}, {"format": 1, "strange": 3}])
+def test_meta_of_another_format_is_refused(tmp_path, content):
+    raw_episode(tmp_path / "e.mcap", "/x", b"", content)
+    with pytest.raises(EpisodeError):
+        read_episode(tmp_path / "e.mcap")
+
+
+def test_missing_file_and_existing_file(tmp_path):
+    with pytest.raises(EpisodeError, match="cannot read"):
+        read_episode(tmp_path / "none.mcap")
+    (tmp_path / "there.mcap").write_bytes(b"x")
+    with pytest.raises(EpisodeError, match="exists already"):
+        EpisodeWriter(tmp_path / "there.mcap", meta())
+    assert (tmp_path / "there.mcap").read_bytes() == b"x"
+    with pytest.raises(EpisodeError, match="cannot write"):
+        EpisodeWriter(tmp_path / "there.mcap" / "e.mcap", meta())
+
+
+def test_a_failing_write_is_reported_once_and_never_raised(tmp_path, caplog):
+    path = tmp_path / "e.mcap"
+    with caplog.at_level(logging.ERROR), EpisodeWriter(path, meta()) as writer:
+        writer.tip_force(0.0, np.zeros(3))
+        writer.event(0.1, EventKind.SCAN, "first")
+        os.close(writer._file.fileno())  # the disk goes away
+        for k in range(200):
+            writer.tip_force(0.2 + k, np.zeros(3))
+    assert isinstance(writer.error, EpisodeError)
+    assert len(caplog.records) == 1
+    episode = read_episode(path)
+    assert episode.damage is not None and len(list(episode.tip_force())) >= 1
+
+
+def test_what_json_cannot_hold_is_reported_and_never_raised(tmp_path, caplog):
+    with EpisodeWriter(tmp_path / "e.mcap", meta()) as writer:
+        writer.event(0.0, EventKind.SCAN, "odd", thing=object())
+    assert writer.error is not None and "not JSON serializable" in writer.error.what
+    assert len(caplog.records) == 1
+
+
+def test_a_killed_process_loses_about_a_second(tmp_path):
+    path = tmp_path / "e.mcap"
+    program = textwrap.dedent(f"""
+        import os, signal
+        from pathlib import Path
+        import numpy as np
+        from resync_robot.core.episode import EpisodeMeta
+        from resync_robot.core.episode_writer import EpisodeWriter
+        from resync_robot.core.rig import load_rig
+        meta = EpisodeMeta.of(load_rig(), library_hash="", domain="", scenario="", goal="", seed=0, backend="sim")
+        writer = EpisodeWriter(Path({str(path)!r}), meta)
+        for k in range(500):
+            writer.tip_force(k * 0.02, np.zeros(3))
+        os.kill(os.getpid(), signal.SIGKILL)
+    """)
+    done = subprocess.run([sys.executable, "-c", program], check=False)
+    assert done.returncode == -signal.SIGKILL
+    episode = read_episode(path)
+    assert episode.damage is not None
+    assert len(list(episode.tip_force())) >= 450
