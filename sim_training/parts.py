@@ -39,9 +39,7 @@ def block_shapes(size: tuple[float, float, float]) -> list[Convex | Cuboid]:
     """Stud, slab over the socket, and the four chamfered walls around it. `size` is the body's extents."""
     half_x, half_y, half_z = (s / 2 for s in size)
     slab_bottom = -half_z + SOCKET_DEPTH
-    slab = Cuboid(
-        np.array([0, 0, (slab_bottom + half_z) / 2]), np.array([half_x, half_y, (half_z - slab_bottom) / 2])
-    )
+    slab = Cuboid(np.array([0, 0, (slab_bottom + half_z) / 2]), np.array([half_x, half_y, (half_z - slab_bottom) / 2]))
     return [slab, Convex(_stud(half_z)), *(Convex(w) for w in _socket_walls(half_x, half_y, -half_z, slab_bottom))]
 
 

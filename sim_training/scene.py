@@ -227,8 +227,9 @@ def _add_block(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> 
     # A hollow socket shifts mass and inertia little; a solid cuboid's inertia is what the blocks have.
     mass = float(task.physics["masses"][obj.name])
     body.mass = mass
-    body.inertia = (mass / 12 * np.array([size[1] ** 2 + size[2] ** 2, size[0] ** 2 + size[2] ** 2,
-                                          size[0] ** 2 + size[1] ** 2])).astype(np.float32)
+    body.inertia = (
+        mass / 12 * np.array([size[1] ** 2 + size[2] ** 2, size[0] ** 2 + size[2] ** 2, size[0] ** 2 + size[1] ** 2])
+    ).astype(np.float32)
     body.solver_position_iterations = _SOLVER_ITERATIONS
     body.linear_damping, body.angular_damping = 0.05, 0.1
     entity.add_component(body)
@@ -242,9 +243,7 @@ def _pose(features: np.ndarray) -> sapien.Pose:
     return sapien.Pose(np.asarray(features[:3]), np.asarray(features[3:7]))
 
 
-def _add_camera(
-    scene: sapien.Scene, camera: CameraRig, robot: physx.PhysxArticulation
-) -> render.RenderCameraComponent:
+def _add_camera(scene: sapien.Scene, camera: CameraRig, robot: physx.PhysxArticulation) -> render.RenderCameraComponent:
     component = render.RenderCameraComponent(camera.width, camera.height)
     component.set_perspective_parameters(0.05, 5.0, camera.fx, camera.fy, camera.cx, camera.cy, 0.0)
     # SAPIEN cameras look along x with z up; OpenCV's along z with y down.

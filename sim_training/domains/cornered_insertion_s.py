@@ -165,9 +165,7 @@ def sample_task(
 
 def _apart(local: dict[str, tuple[float, float, float]]) -> bool:
     places = [np.array(p[:2]) for p in local.values()]
-    return all(
-        np.linalg.norm(a - b) > APART for i, a in enumerate(places) for b in places[i + 1 :]
-    )
+    return all(np.linalg.norm(a - b) > APART for i, a in enumerate(places) for b in places[i + 1 :])
 
 
 def _scenario(
@@ -198,15 +196,32 @@ CORNERED_INSERTION_S = Domain(
     scenarios={
         s.name: s
         for s in (
-            _scenario("s0", "training: pick the cornered block, insert it onto a free one", [("b0", "b1")],
-                      ["b0"], free=["b1"], training=True),
+            _scenario(
+                "s0",
+                "training: pick the cornered block, insert it onto a free one",
+                [("b0", "b1")],
+                ["b0"],
+                free=["b1"],
+                training=True,
+            ),
             _scenario("s1", "test: insert a free block onto the cornered one", [("b1", "b0")], ["b0"], free=["b1"]),
-            _scenario("s2", "test: both blocks cornered, one free bystander", [("b0", "b1")],
-                      ["b0", "b1"], free=["b2"]),
-            _scenario("s3", "test: a tower of three on the cornered block", [("b1", "b0"), ("b2", "b1")],
-                      ["b0"], free=["b1", "b2"]),
-            _scenario("s4", "test: a block against one wall onto the cornered one, another cornered bystander",
-                      [("b3", "b0")], ["b0", "b2"], walled=["b3"]),
+            _scenario(
+                "s2", "test: both blocks cornered, one free bystander", [("b0", "b1")], ["b0", "b1"], free=["b2"]
+            ),
+            _scenario(
+                "s3",
+                "test: a tower of three on the cornered block",
+                [("b1", "b0"), ("b2", "b1")],
+                ["b0"],
+                free=["b1", "b2"],
+            ),
+            _scenario(
+                "s4",
+                "test: a block against one wall onto the cornered one, another cornered bystander",
+                [("b3", "b0")],
+                ["b0", "b2"],
+                walled=["b3"],
+            ),
         )
     },
 )

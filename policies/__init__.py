@@ -1,0 +1,1 @@
+"""Skills as they run: scripted ones that are given, neural ones that were learned."""

@@ -1,0 +1,158 @@
+"""Straight, guarded motions of a downward-pointing hand, as generators of joint targets."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from resync_robot.core import kinematics, spatial
+from resync_robot.core.errors import MotionError
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import Rig
+from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.world import Observation
+
+Motion = Generator[JointTarget, Observation, Outcome]
+Step = Generator[JointTarget, Observation, None]
+
+YAW_SPEED = 1.2
+"""rad/s of the hand about the vertical."""
+FINGER_SPEED = 0.12
+"""m/s of opening or closing."""
+
+
+class Blocked(Exception):
+    """A guard stopped a motion; the message says which. Caught by the skill that moved."""
+
+
+@dataclass
+class GeneratorPolicy:
+    """Runs a motion one step at a time, behind `core.skill.Policy`."""
+
+    motion: Motion
+    _waiting: JointTarget | Outcome | None = field(default=None)
+
+    def step(self, observation: Observation) -> JointTarget | Outcome:
+        if self._waiting is not None:
+            first, self._waiting = self._waiting, None
+            return first
+        try:
+            return self.motion.send(observation)
+        except StopIteration as ended:
+            return ended.value
+        except MotionError as error:
+            return Outcome(Ending.UNREACHABLE, error.what)
+
+
+def run_motion(motion: Motion, first: Observation) -> GeneratorPolicy:
+    """A policy whose motion was created with the observation `first`."""
+    try:
+        return GeneratorPolicy(motion, next(motion))
+    except StopIteration as ended:
+        return GeneratorPolicy(motion, ended.value)
+    except MotionError as error:
+        return GeneratorPolicy(motion, Outcome(Ending.UNREACHABLE, error.what))
+
+
+class Hand:
+    """Where the hand was last sent, and straight lines from there.
+
+    Args:
+        period: seconds between two steps.
+        stray: m between where the tip is and where it was sent, at which a motion counts as blocked.
+    """
+
+    def __init__(self, rig: Rig, first: Observation, period: float, stray: float) -> None:
+        self.rig, self.period, self.stray = rig, period, stray
+        self.last = first
+        self._base_T_world = spatial.inverse(rig.arm.world_T_base)
+        self._tip_T_flange = spatial.inverse(rig.gripper.flange_T_tip)
+        self._q = first.arm.copy()
+        tip = rig.arm.world_T_base @ kinematics.forward(first.arm) @ rig.gripper.flange_T_tip
+        self.position = tip[:3, 3].copy()
+        self.yaw = float(np.arctan2(tip[1, 0], tip[0, 0]))
+        self.opening = first.opening
+
+    @staticmethod
+    def rotation(yaw: float) -> np.ndarray:
+        """(3, 3) of a tool that points down, its x axis at `yaw`."""
+        return spatial.rotation_about("z", yaw) @ spatial.rotation_about("x", np.pi)
+
+    def target(self) -> JointTarget:
+        tip = spatial.transform(self.rotation(self.yaw), self.position)
+        self._q = kinematics.inverse_near(self._base_T_world @ tip @ self._tip_T_flange, self._q)
+        return JointTarget(self._q, self.opening)
+
+    def move(self, x: float, y: float, z: float, yaw: float, speed: float, max_force: float = np.inf) -> Step:
+        """Straight to a tip pose with smooth ends; returns when the tip has arrived.
+
+        Raises:
+            Blocked: the tip strayed, or more than `max_force` N pushed against it (beyond what it felt at the start).
+        """
+        begin, goal = self.position.copy(), np.array([x, y, z], dtype=np.float64)
+        yaw_begin, turn = self.yaw, float(spatial.wrap(yaw - self.yaw))
+        # A cosine profile's mean speed is its peak over pi/2.
+        seconds = max(np.linalg.norm(goal - begin) / speed, abs(turn) / YAW_SPEED) * np.pi / 2
+        steps = max(1, int(np.ceil(seconds / self.period)))
+        at_rest = self.last.tip_force
+        for i in range(1, steps + 1):
+            s = (1 - np.cos(np.pi * i / steps)) / 2
+            self.position, self.yaw = begin + s * (goal - begin), yaw_begin + s * turn
+            self.last = yield self.target()
+            self._guard(at_rest, max_force)
+        yield from self.settle(at_rest, max_force)
+
+    def settle(self, at_rest: np.ndarray, max_force: float, seconds: float = 0.4) -> Step:
+        """Wait until the tip stands within 1 mm of where it was sent, or for `seconds`."""
+        for _ in range(int(seconds / self.period)):
+            if np.linalg.norm(self._tip() - self.position) < 0.001:
+                return
+            self.last = yield self.target()
+            self._guard(at_rest, max_force)
+
+    def retreat(self, z: float, speed: float) -> Step:
+        """Straight up to at least `z`, from where the tip is."""
+        if self.position[2] < z - 0.002:
+            yield from self.move(self.position[0], self.position[1], z, self.yaw, speed)
+
+    def back_off(self, z: float, speed: float) -> Step:
+        """Up and away after a guard; whatever still touches on the way is left to the world."""
+        self.position = self._tip()
+        stray, self.stray = self.stray, np.inf
+        yield from self.retreat(z, speed)
+        self.stray = stray
+
+    def open(self, opening: float) -> Step:
+        """Open or close to `opening` m at the gripper's speed."""
+        opening = float(np.clip(opening, 0.0, self.rig.gripper.max_opening))
+        steps = max(1, int(np.ceil(abs(opening - self.opening) / FINGER_SPEED / self.period)))
+        begin = self.opening
+        for i in range(1, steps + 1):
+            self.opening = begin + (opening - begin) * i / steps
+            self.last = yield self.target()
+        for _ in range(int(0.15 / self.period)):
+            self.last = yield self.target()
+
+    def close(self, opening: float) -> Step:
+        """Close on something: as `open`, then wait until the pads stand still."""
+        yield from self.open(opening)
+        before = np.inf
+        for _ in range(int(0.6 / self.period)):
+            if abs(self.last.opening - before) < 1e-5:
+                return
+            before = self.last.opening
+            self.last = yield self.target()
+
+    def _tip(self) -> np.ndarray:
+        tip = self.rig.arm.world_T_base @ kinematics.forward(self.last.arm) @ self.rig.gripper.flange_T_tip
+        return tip[:3, 3].copy()
+
+    def _guard(self, at_rest: np.ndarray, max_force: float) -> None:
+        away = float(np.linalg.norm(self._tip() - self.position))
+        if away > self.stray:
+            raise Blocked(f"the tip is held {1000 * away:.0f} mm from where it was sent")
+        force = float(np.linalg.norm(self.last.tip_force - at_rest))
+        if force > max_force:
+            raise Blocked(f"{force:.0f} N against the hand")

@@ -1,0 +1,90 @@
+"""Which way to turn the hand, and how high to travel, from the geometry of the scene."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from resync_robot.core import spatial
+from resync_robot.core.rig import GripperRig
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.core.vocabulary import BLOCK, BOX
+
+ENOUGH = 0.010
+"""Clearance in m beyond which more of it is worth no extra turn of the wrist."""
+
+
+def best_yaw(
+    state: State,
+    block: Object,
+    along: float,
+    tip_z: float,
+    opening: float,
+    gripper: GripperRig,
+    current: float,
+    ignore: Object | None = None,
+) -> float:
+    """The hand's yaw among `along` + k * 90 degrees that leaves the fingers most room around `block`.
+
+    Args:
+        along: heading in rad of one axis on which the pads may close.
+        tip_z: height in m at which the finger tips will be.
+        opening: free distance between the pads on the way down, m.
+        current: the hand's yaw; among equally free ones the smallest turn wins.
+        ignore: a block that is in the hand, and so no obstacle.
+    """
+    centre = state.get(block, "x", "y")
+    others = [b for b in state.of_type(BLOCK) if b not in (block, ignore)]
+
+    def score(yaw: float) -> float:
+        room = min(
+            finger_clearance(state, corner, tip_z, others) for corner in finger_corners(centre, yaw, opening, gripper)
+        )
+        return min(room, ENOUGH) - 0.001 * abs(yaw - current)
+
+    # A parallel gripper turned by 180 degrees is the same gripper: stay within a quarter turn of straight ahead.
+    candidates = [float(spatial.wrap(along + k * np.pi / 2, np.pi)) for k in range(2)]
+    return max(candidates, key=score)
+
+
+def finger_corners(centre: np.ndarray, yaw: float, opening: float, gripper: GripperRig) -> np.ndarray:
+    """(8, 2) corners of both fingers' footprints, world frame; they close along y of the hand."""
+    near, far, half = opening / 2, opening / 2 + gripper.finger_thickness, gripper.finger_width / 2
+    local = np.array([(sx * half, sy * d) for sy in (-1, 1) for d in (near, far) for sx in (-1, 1)])
+    c, s = np.cos(yaw), np.sin(yaw)
+    return centre + local @ np.array([[c, s], [-s, c]])
+
+
+def finger_clearance(state: State, point: np.ndarray, tip_z: float, others: list[Object]) -> float:
+    """Distance in m from a point of a finger to the nearest wall or block that reaches up to it; negative inside."""
+    room = np.inf
+    for box in state.of_type(BOX):
+        inner_x, inner_y, wall_z, thickness = state.get(box, "inner_x", "inner_y", "wall_z", "wall_thickness")
+        pose = spatial.pose_from_features(state[box][:7])
+        if tip_z > pose[2, 3] + wall_z + 0.005:
+            continue
+        local = np.abs(pose[:2, :2].T @ (point - pose[:2, 3]))
+        half = np.array([inner_x, inner_y]) / 2
+        inside, outside = float((half - local).min()), float((local - half - thickness).max())
+        room = min(room, max(inside, outside))
+    for other in others:
+        x, y, z, width, height = state.get(other, "x", "y", "z", "size_x", "size_z")
+        if tip_z > z + height / 2:
+            continue
+        yaw = float(spatial.yaw_of(state.get(other, "qw", "qx", "qy", "qz")))
+        c, s = np.cos(yaw), np.sin(yaw)
+        local = np.abs(np.array([[c, s], [-s, c]]) @ (point - np.array([x, y])))
+        room = min(room, float((local - width / 2).max()))
+    return room
+
+
+def travel_height(state: State, carried: Object | None) -> float:
+    """Tip height in m at which hand and carried block pass over everything that stands."""
+    tops = [0.0]
+    for box in state.of_type(BOX):
+        tops.append(float(state.get(box, "z", "wall_z").sum()))
+    for block in state.of_type(BLOCK):
+        if block != carried:
+            tops.append(float(state.get(block, "z")[0] + state.get(block, "size_z")[0] / 2 + 0.012))
+    hanging = 0.0 if carried is None else float(state.get(carried, "size_z")[0])
+    return max(tops) + hanging + 0.03

@@ -1,0 +1,151 @@
+"""The given skills: Pick and Insert as guarded Cartesian motions through closed-form inverse kinematics.
+
+A skill reads the scene once, at its start, chooses the yaw that leaves the fingers most room, and moves. It does not
+know what a corner is: where no yaw clears the walls it tries the best one, and its guards say what happened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+
+from policies.cartesian import Blocked, Hand, Motion, run_motion
+from policies.grasp import best_yaw, travel_height
+from resync_robot.core.rig import Rig
+from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.spatial import inverse, pose_from_features, wrap, yaw_of
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.core.vocabulary import BLOCK, ROBOT
+from resync_robot.core.world import Observation
+
+RATE_HZ = 50.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScriptedSettings:
+    """Speeds in m/s, lengths in m, forces in N."""
+
+    travel_speed: float = 0.25
+    approach_speed: float = 0.10
+    descent_speed: float = 0.06
+    """Towards things: what is met at twice this speed is hit with 200 N before a 50 Hz guard can stop the arm."""
+    contact_speed: float = 0.02
+    seat_speed: float = 0.008
+    """A stud finds its socket at 8 mm/s; twice that jams."""
+    approach_clearance: float = 0.012
+    """Free space a side between an open finger and the block."""
+    release_clearance: float = 0.008
+    squeeze: float = 0.020
+    """How much narrower than the block the pads are told to close."""
+    grasp_depth: float = 0.004
+    """How far below the block's centre the finger tips reach."""
+    touch_force: float = 25.0
+    """A descent through free space that meets more than this is stopped."""
+    seat_force: float = 15.0
+    stray: float = 0.025
+    """A tip that is this far from where it was sent is held by something."""
+
+
+def scripted_skills(rig: Rig, settings: ScriptedSettings | None = None) -> tuple[Skill, ...]:
+    """Pick(robot, block) and Insert(robot, held block, base block)."""
+    s = settings or ScriptedSettings()
+    return (
+        Skill(
+            "Pick", (ROBOT, BLOCK), lambda objects, first: run_motion(_pick(objects, first, rig, s), first), RATE_HZ, 40
+        ),
+        Skill(
+            "Insert",
+            (ROBOT, BLOCK, BLOCK),
+            lambda objects, first: run_motion(_insert(objects, first, rig, s), first),
+            RATE_HZ,
+            40,
+        ),
+    )
+
+
+def _pick(objects: tuple[Object, ...], first: Observation, rig: Rig, s: ScriptedSettings) -> Motion:
+    _, block = objects
+    state = first.state
+    hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
+    width = float(state.get(block, "size_x", "size_y").max())
+    x, y, z, height = state.get(block, "x", "y", "z", "size_z")
+    tip_z = z - min(s.grasp_depth, height / 2 - 0.008)
+    opening = width + 2 * s.approach_clearance
+    yaw = best_yaw(state, block, _block_yaw(state, block), tip_z, opening, rig.gripper, hand.yaw)
+    above = travel_height(state, carried=None)
+    try:
+        yield from hand.retreat(above, s.approach_speed)
+        yield from hand.open(rig.gripper.max_opening if opening > rig.gripper.max_opening else opening)
+        yield from hand.move(x, y, above, yaw, s.travel_speed)
+        yield from hand.move(x, y, tip_z, yaw, s.descent_speed, max_force=s.touch_force)
+    except Blocked as blocked:
+        yield from hand.back_off(above, s.approach_speed)
+        return Outcome(Ending.BLOCKED, f"descending to {block}: {blocked}")
+    yield from hand.close(width - s.squeeze)
+    try:
+        yield from hand.move(x, y, above, yaw, s.approach_speed)
+    except Blocked as blocked:
+        return Outcome(Ending.BLOCKED, f"lifting {block}: {blocked}")
+    if abs(hand.last.opening - width) > 0.008:
+        gap = 1000 * hand.last.opening
+        yield from hand.open(opening)
+        return Outcome(Ending.BLOCKED, f"the pads are {gap:.0f} mm apart, not on {block}")
+    return Outcome(Ending.DONE)
+
+
+def _insert(objects: tuple[Object, ...], first: Observation, rig: Rig, s: ScriptedSettings) -> Motion:
+    robot, held, base = objects
+    state = first.state
+    hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
+    tip_T_held = inverse(pose_from_features(state[robot][:7])) @ pose_from_features(state[held][:7])
+    if np.linalg.norm(tip_T_held[:3, 3]) > 0.06:
+        return Outcome(Ending.REFUSED, f"{held} is not in the hand")
+    width = float(state.get(held, "size_x", "size_y").max())
+    x, y, z, base_height = state.get(base, "x", "y", "z", "size_z")
+    seated = z + (base_height + state.get(held, "size_z")[0]) / 2
+    # The tip points down, so a turn of the block in the hand is a turn of the tip the other way round.
+    turned = _block_yaw(state, held) - yaw_tip(state, robot)
+    hand.opening = width - s.squeeze  # what the pads were told, not where the block stopped them
+    opening = width + 2 * s.release_clearance
+    tip_z = seated + tip_T_held[2, 3]
+    yaw = best_yaw(state, base, _block_yaw(state, base) - turned, tip_z, opening, rig.gripper, hand.yaw, ignore=held)
+    offset = hand.rotation(yaw) @ tip_T_held[:3, 3]
+    goal_x, goal_y, goal_z = np.array([x, y, seated]) - offset
+    above = travel_height(state, carried=held)
+
+    def back_off() -> Motion:
+        yield from hand.back_off(above, s.approach_speed)
+        return Outcome(Ending.DONE)
+
+    try:
+        yield from hand.retreat(above, s.approach_speed)
+        yield from hand.move(goal_x, goal_y, above, yaw, s.travel_speed)
+        yield from hand.move(goal_x, goal_y, goal_z + 0.030, yaw, s.descent_speed, max_force=s.touch_force)
+        yield from hand.move(goal_x, goal_y, goal_z + 0.016, yaw, s.contact_speed, max_force=s.seat_force)
+    except Blocked as blocked:
+        yield from back_off()
+        return Outcome(Ending.BLOCKED, f"over {base}: {blocked}")
+    try:
+        yield from hand.move(goal_x, goal_y, goal_z - 0.001, yaw, s.seat_speed, max_force=s.seat_force)
+    except Blocked:
+        # On the stud: the block may still drop in when the pads let go, so release and let the state decide.
+        pass
+    yield from hand.open(opening)
+    try:
+        yield from hand.move(goal_x, goal_y, above, yaw, s.approach_speed)
+    except Blocked as blocked:
+        return Outcome(Ending.BLOCKED, f"leaving {base}: {blocked}")
+    return Outcome(Ending.DONE)
+
+
+def _block_yaw(state: State, block: Object) -> float:
+    return float(yaw_of(state.get(block, "qw", "qx", "qy", "qz")))
+
+
+def yaw_tip(state: State, robot: Object) -> float:
+    """Heading of the tip's x axis, rad; the tool points down."""
+    rotation = pose_from_features(state[robot][:7])[:3, :3]
+    return float(wrap(np.arctan2(rotation[1, 0], rotation[0, 0])))

@@ -1,0 +1,132 @@
+"""A simulated D435i: turns a perfect rendered picture into what such a camera, calibrated so well and no better, gives.
+
+Depth of a stereo camera is f B / disparity, so an error in disparity grows with the square of the distance. The same
+geometry explains the blind band at the left of the picture and the shadow beside every near edge: the second eye does
+not see those points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from resync_robot.core import spatial
+from resync_robot.core.rig import CameraRig
+from resync_robot.core.world import CameraFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorSettings:
+    """How bad the camera is. Disparities in pixels of a picture as wide as the rendered one."""
+
+    focal_at_848_px: float = 447.0
+    """Focal length of the depth camera at a width of 848 pixels; it scales with the width."""
+    baseline: float = 0.050
+    """Distance between the two eyes, m."""
+    disparity_sigma_px: float = 0.08
+    disparity_step_px: float = 1 / 32
+    """Quantisation of the matcher."""
+    ripple_px: float = 0.03
+    """Amplitude of the error that repeats with every pixel of disparity."""
+    least_depth_at_848: float = 0.2
+    """m; nearer surfaces have no match. Scales with the width, as the search range is fixed in pixels."""
+    edge_step: float = 0.012
+    """Depth steps above this within one pixel's neighbourhood count as an edge, m."""
+    flying_share: float = 0.35
+    """Share of edge pixels whose depth lies somewhere between the two surfaces."""
+    edge_hole_share: float = 0.25
+    hole_share: float = 0.004
+    """Share of the picture in random small holes."""
+    exposure_sigma: float = 0.06
+    white_balance_sigma: float = 0.015
+    colour_sigma: float = 2.5
+    """Noise of a colour value, of 255."""
+
+
+class NoisySensor:
+    """Adds a D435i's faults to rendered frames.
+
+    A camera on the flange gets a new pose error with every frame (a view of its own: hand-eye calibration and arm),
+    one that stands in the world keeps a single error, as a wrong calibration would.
+
+    Args:
+        seed: same seed, same frames, same result.
+        camera_rig: gives the sigmas of the pose error, a normal error of each of the three axes.
+        settings: how bad the camera is.
+    """
+
+    def __init__(self, seed: int, camera_rig: CameraRig, settings: SensorSettings | None = None) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._rig = camera_rig
+        self.settings = settings or SensorSettings()
+        self._fixed_error = None if camera_rig.mount == "flange" else self._draw_pose_error()
+
+    def apply(self, frame: CameraFrame) -> CameraFrame:
+        """The frame as the camera would deliver it; `world_T_cam` becomes what the robot believes, not the truth."""
+        error = self._fixed_error if self._fixed_error is not None else self._draw_pose_error()
+        return replace(
+            frame,
+            colour=self._colour(frame.colour),
+            depth=self._depth(frame.depth),
+            world_T_cam=frame.world_T_cam @ error,
+        )
+
+    def _draw_pose_error(self) -> Float[np.ndarray, "4 4"]:
+        turn = self._rng.normal(0.0, self._rig.rotation_sigma, 3)
+        shift = self._rng.normal(0.0, self._rig.position_sigma, 3)
+        return spatial.transform(spatial.rotation_from_vector(turn), shift)
+
+    def _colour(self, colour: np.ndarray) -> np.ndarray:
+        s = self.settings
+        gain = np.exp(self._rng.normal(0.0, s.exposure_sigma)) * np.exp(self._rng.normal(0.0, s.white_balance_sigma, 3))
+        noise = self._rng.standard_normal(colour.shape, dtype=np.float32) * np.float32(s.colour_sigma)
+        return np.clip(colour * gain.astype(np.float32) + noise + 0.5, 0, 255).astype(np.uint8)
+
+    def _depth(self, depth: np.ndarray) -> np.ndarray:
+        s, rng = self.settings, self._rng
+        height, width = depth.shape
+        focal_baseline = np.float32(s.focal_at_848_px * width / 848 * s.baseline)
+        z = depth.astype(np.float32) * np.float32(CameraFrame.DEPTH_UNIT_M)
+        z = self._flying(z)
+        valid = z > max(s.least_depth_at_848 * width / 848, 1e-3)
+        disparity = focal_baseline / np.where(valid, z, 1.0)
+
+        # The second eye sees column x at x - disparity: outside its picture, or behind something, there is no match.
+        column_there = np.arange(width, dtype=np.float32) - disparity
+        column_there[~valid] = np.inf
+        nearest_right = np.minimum.accumulate(column_there[:, ::-1], axis=1)[:, ::-1]
+        shadow = np.zeros_like(valid)
+        shadow[:, :-1] = nearest_right[:, 1:] < column_there[:, :-1] - 1.0
+        valid &= (column_there >= 0) & ~shadow
+
+        ripple = np.float32(s.ripple_px) * np.sin(np.float32(2 * np.pi) * disparity)
+        noise = rng.standard_normal(depth.shape, dtype=np.float32) * np.float32(s.disparity_sigma_px)
+        step = np.float32(s.disparity_step_px)
+        measured = np.round((disparity + ripple + noise) / step) * step
+        valid &= measured > 0
+        valid &= ~self._holes(height, width)
+        z = focal_baseline / np.where(valid, measured, 1.0)
+        return np.where(valid, np.clip(z / CameraFrame.DEPTH_UNIT_M + 0.5, 0, 65535), 0).astype(np.uint16)
+
+    def _flying(self, z: np.ndarray) -> np.ndarray:
+        """Depth with some of its edge pixels between the two surfaces, and some lost (0)."""
+        s = self.settings
+        kernel = np.ones((3, 3), np.uint8)
+        near, far = cv2.erode(z, kernel), cv2.dilate(z, kernel)
+        rows, columns = np.nonzero(far - near > s.edge_step)
+        draw = self._rng.random((2, len(rows)), dtype=np.float32)
+        low, high = near[rows, columns], far[rows, columns]
+        flies = draw[0] < s.flying_share
+        lost = draw[0] > 1.0 - s.edge_hole_share
+        result = z.copy()
+        result[rows[flies], columns[flies]] = (low + draw[1] * (high - low))[flies]
+        result[rows[lost], columns[lost]] = 0.0
+        return result
+
+    def _holes(self, height: int, width: int) -> np.ndarray:
+        """Small random patches without a match: (H, W) bool."""
+        seeds = self._rng.random((height // 3 + 1, width // 3 + 1), dtype=np.float32) < self.settings.hole_share
+        return cv2.resize(seeds.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST).astype(bool)
