@@ -18,7 +18,7 @@ D = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)
 A = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
 ALPHA = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
 
-BRANCHES = tuple(product((+1, -1), repeat=3))
+BRANCHES = tuple(product((+1, -1), (+1, -1), (+1, -1)))
 """(shoulder, wrist, elbow) signs of the eight solutions."""
 
 
@@ -30,8 +30,13 @@ def forward(q: Any, xp: Any = np) -> Any:
         ca, sa = float(np.cos(ALPHA[i])), float(np.sin(ALPHA[i]))
         zero, one = c * 0, c * 0 + 1
         link = _matrix(
-            [[c, -s * ca, s * sa, A[i] * c], [s, c * ca, -c * sa, A[i] * s],
-             [zero, zero + sa, zero + ca, zero + D[i]], [zero, zero, zero, one]], xp
+            [
+                [c, -s * ca, s * sa, A[i] * c],
+                [s, c * ca, -c * sa, A[i] * s],
+                [zero, zero + sa, zero + ca, zero + D[i]],
+                [zero, zero, zero, one],
+            ],
+            xp,
         )
         pose = link if pose is None else pose @ link
     return pose

@@ -87,8 +87,20 @@ class Rig:
 _VECTORS = {"world_T_base": 7, "pose": 7, "home": 6, "velocity_limit": 6, "acceleration_limit": 6, "jerk_limit": 6}
 _ARM = ("model", "world_T_base", "home", "velocity_limit", "acceleration_limit", "jerk_limit")
 _GRIPPER = ("model", "tip_offset", "max_opening", "max_force", "finger_thickness", "finger_width")
-_CAMERA = ("name", "mount", "serial", "pose", "width", "height", "fx", "fy", "cx", "cy", "position_sigma",
-           "rotation_sigma")
+_CAMERA = (
+    "name",
+    "mount",
+    "serial",
+    "pose",
+    "width",
+    "height",
+    "fx",
+    "fy",
+    "cx",
+    "cy",
+    "position_sigma",
+    "rotation_sigma",
+)
 _TEXT = ("model", "name", "mount", "serial", "provenance")
 
 

@@ -10,9 +10,11 @@ Array = np.ndarray
 
 def transform(rotation: Float[Array, "*b 3 3"] | None = None, position: Float[Array, "*b 3"] | None = None) -> Array:
     """(..., 4, 4) from a rotation matrix and a position; either may be left out."""
-    batch = () if rotation is None and position is None else (
-        np.shape(rotation)[:-2] if rotation is not None else np.shape(position)[:-1]
-    )
+    batch: tuple[int, ...] = ()
+    if rotation is not None:
+        batch = np.shape(rotation)[:-2]
+    elif position is not None:
+        batch = np.shape(position)[:-1]
     result = np.zeros((*batch, 4, 4))
     result[..., :3, :3] = np.eye(3) if rotation is None else rotation
     result[..., :3, 3] = 0.0 if position is None else position
@@ -62,15 +64,25 @@ def quat_from_matrix(rotation: Float[Array, "*b 3 3"]) -> Array:
     d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], -1)
     # The four squared components; the largest one is safe to divide by.
     squares = np.stack(
-        [1 + d.sum(-1), 1 + d[..., 0] - d[..., 1] - d[..., 2], 1 - d[..., 0] + d[..., 1] - d[..., 2],
-         1 - d[..., 0] - d[..., 1] + d[..., 2]], -1
+        [
+            1 + d.sum(-1),
+            1 + d[..., 0] - d[..., 1] - d[..., 2],
+            1 - d[..., 0] + d[..., 1] - d[..., 2],
+            1 - d[..., 0] - d[..., 1] + d[..., 2],
+        ],
+        -1,
     )
     wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
     s = squares
     candidates = np.stack(
-        [np.stack([s[..., 0], wx, wy, wz], -1), np.stack([wx, s[..., 1], xy, xz], -1),
-         np.stack([wy, xy, s[..., 2], yz], -1), np.stack([wz, xz, yz, s[..., 3]], -1)], -2
+        [
+            np.stack([s[..., 0], wx, wy, wz], -1),
+            np.stack([wx, s[..., 1], xy, xz], -1),
+            np.stack([wy, xy, s[..., 2], yz], -1),
+            np.stack([wz, xz, yz, s[..., 3]], -1),
+        ],
+        -2,
     )
     best = np.argmax(squares, -1)
     quat = np.take_along_axis(candidates, best[..., None, None], -2)[..., 0, :]
@@ -104,8 +116,8 @@ def features_from_pose(pose: Float[Array, "*b 4 4"]) -> Array:
 
 def rotation_vector(rotation: Float[Array, "3 3"]) -> Array:
     """(3,) axis times angle (rad) of one rotation matrix."""
-    w, *xyz = quat_from_matrix(rotation)
-    xyz = np.asarray(xyz)
+    quat = quat_from_matrix(rotation)
+    w, xyz = quat[0], quat[1:]
     norm = np.linalg.norm(xyz)
     return np.zeros(3) if norm < 1e-12 else xyz / norm * 2 * np.arctan2(norm, w)
 

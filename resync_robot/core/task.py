@@ -77,7 +77,7 @@ def parse_atoms(text: str, predicates: tuple[Predicate, ...], objects: tuple[Obj
     found: list[Atom] = []
     rest = re.sub(r"([\w-]+)\s*\(([^()]*)\)", "", text)
     if rest.strip(" ,;&"):
-        raise PlanningError(f"cannot read the goal '{text}'", "write it as --goal \"On(b1,b0)\"")
+        raise PlanningError(f"cannot read the goal '{text}'", 'write it as --goal "On(b1,b0)"')
     for name, inside in re.findall(r"([\w-]+)\s*\(([^()]*)\)", text):
         if name.lower() not in names:
             raise UnknownNameError("predicate", name, [p.name for p in predicates])
@@ -87,5 +87,5 @@ def parse_atoms(text: str, predicates: tuple[Predicate, ...], objects: tuple[Obj
                 raise UnknownNameError("object", a, list(known))
         found.append(names[name.lower()](*(known[a] for a in args)))
     if not found:
-        raise PlanningError(f"the goal '{text}' names no atom", "write it as --goal \"On(b1,b0)\"")
+        raise PlanningError(f"the goal '{text}' names no atom", 'write it as --goal "On(b1,b0)"')
     return frozenset(found)
