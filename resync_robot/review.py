@@ -1,0 +1,78 @@
+"""Look at a recorded episode: in the Rerun viewer, or as a file for it. Local only: no analytics, no open port."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from resync_robot.core.errors import EpisodeError
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReviewConfig:
+    """Open a recorded episode in the Rerun viewer."""
+
+    episode: tyro.conf.Positional[Path]
+    """A recording, *.mcap."""
+
+    save: Path | None = None
+    """Write this .rrd file instead of opening the viewer; needs no display."""
+
+
+def review(config: ReviewConfig) -> None:
+    """Draw the episode and show it, or save it.
+
+    Raises:
+        EpisodeError: the recording cannot be read, the file cannot be written, or there is no display to show it on.
+    """
+    if config.save is None and not _has_display():
+        raise EpisodeError(
+            "there is no display to open the viewer on",
+            f"resync-robot review {config.episode} --save {config.episode.with_suffix('.rrd').name}",
+        )
+    # Rerun, numpy and OpenCV take a second to load; `--help` shall not wait for them.
+    from resync_robot.core.episode import read_episode
+    from resync_robot.drawing import save_drawing
+
+    episode = read_episode(config.episode)
+    if episode.damage is not None:
+        _log.warning("%s is not whole: %s; showing the first %.1f s", episode.path, episode.damage, episode.duration)
+    if config.save is not None:
+        save_drawing(episode, config.save)
+        return
+    with tempfile.TemporaryDirectory(prefix="resync-review-") as folder:
+        drawing = Path(folder) / f"{config.episode.stem}.rrd"
+        save_drawing(episode, drawing)
+        _view(drawing, Path(folder) / "config")
+
+
+def _has_display() -> bool:
+    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _view(drawing: Path, config_home: Path) -> None:
+    """Run the viewer until it is closed.
+
+    It keeps its analytics switch in the user's configuration; a configuration folder of its own leaves that alone.
+    It would also listen for programs that log to it, on every address of the machine.
+    """
+    viewer = [sys.executable, "-m", "rerun_cli"]
+    environment = {**os.environ, "XDG_CONFIG_HOME": str(config_home)}
+    subprocess.run([*viewer, "analytics", "disable"], env=environment, capture_output=True, check=False)
+    done = subprocess.run(
+        [*viewer, str(drawing), "--bind", "127.0.0.1", "--hide-welcome-screen"], env=environment, check=False
+    )
+    if done.returncode != 0:
+        raise EpisodeError(
+            f"the Rerun viewer ended with code {done.returncode}",
+            "give --save FILE.rrd and open that file where a viewer runs: rerun FILE.rrd",
+        )
