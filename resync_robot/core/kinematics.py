@@ -78,11 +78,12 @@ def inverse_branch(base_T_flange: Any, branch: tuple[int, int, int], xp: Any = n
     cos5 = _domain(z_row(r[..., :, 2]), xp)
     q5 = wrist * xp.arccos(cos5)
     sin5 = xp.sin(q5)
-    # At sin5 = 0 the axes of joints 4 and 6 align; any split serves, so the sign alone is kept.
+    # At sin5 = 0 the axes of joints 4 and 6 align: any q6 serves, and what is left over goes to q234.
     sign5 = xp.where(sin5 < 0, -xp.ones_like(sin5), xp.ones_like(sin5))
     q6 = xp.arctan2(-z_row(r[..., :, 1]) * sign5, z_row(r[..., :, 0]) * sign5)
-    z6 = r[..., :, 2]
-    q234 = xp.arctan2(-z6[..., 2] * sign5, -x_row(z6) * sign5)
+    # The y axis before the turn by q6 stays in the plane of joints 2 to 4, where q234 alone turns it.
+    y5 = xp.sin(q6)[..., None] * r[..., :, 0] + xp.cos(q6)[..., None] * r[..., :, 1]
+    q234 = xp.arctan2(-x_row(y5), y5[..., 2])
     x = x_row(w) - d5 * xp.sin(q234)
     y = w[..., 2] - D[0] + d5 * xp.cos(q234)
     q3 = elbow * xp.arccos(_domain((x * x + y * y - a2 * a2 - a3 * a3) / (2 * a2 * a3), xp))

@@ -1,0 +1,160 @@
+"""A library comes back as it was saved; any other folder is refused, and nothing in it can run."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from resync_robot.core.errors import LibraryError
+from resync_robot.core.library import Library, Record, load_library, save_library
+
+LIBRARY = Library(
+    domain="test",
+    rig_hash="abc",
+    domain_pddl="(define (domain test))\n",
+    predicates={"free": Record({"types": ["block"]}, {"w": np.arange(6, dtype=np.float32).reshape(2, 3)})},
+    skills={
+        "Recover": Record({"rate_hz": 10.0}, {"b": np.ones(4, np.float32), "a": np.zeros((2, 2), np.float32)}),
+        "Pick": Record({"rate_hz": 20.0}),
+    },
+    gaussians={"pairs": [[0.0, 1.0]]},
+    provenance={"seed": 3, "seconds": 12.5},
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    save_library(LIBRARY, tmp_path / "library")
+    return tmp_path / "library"
+
+
+def test_a_saved_library_comes_back(folder: Path) -> None:
+    back = load_library(folder)
+    assert (back.domain, back.rig_hash, back.domain_pddl) == ("test", "abc", LIBRARY.domain_pddl)
+    assert (back.gaussians, back.provenance) == (LIBRARY.gaussians, LIBRARY.provenance)
+    for found, saved in ((back.predicates, LIBRARY.predicates), (back.skills, LIBRARY.skills)):
+        assert set(found) == set(saved)
+        for name, record in saved.items():
+            assert found[name].meta == record.meta
+            assert set(found[name].tensors) == set(record.tensors)
+            for key, tensor in record.tensors.items():
+                np.testing.assert_array_equal(found[name].tensors[key], tensor)
+    assert back.content_hash == LIBRARY.content_hash
+
+
+def test_the_content_hash_knows_behaviour_and_not_the_date() -> None:
+    assert replace(LIBRARY, provenance={"seed": 4}).content_hash == LIBRARY.content_hash
+    assert replace(LIBRARY, domain_pddl="(define)").content_hash != LIBRARY.content_hash
+    weights = {"free": Record({"types": ["block"]}, {"w": np.zeros((2, 3), np.float32)})}
+    assert replace(LIBRARY, predicates=weights).content_hash != LIBRARY.content_hash
+
+
+def test_saving_again_replaces_and_leaves_no_rest(folder: Path) -> None:
+    save_library(replace(LIBRARY, skills={}), folder)
+    assert set(load_library(folder).skills) == set()
+    assert [p.name for p in folder.parent.iterdir()] == ["library"]
+
+
+def test_the_rest_of_a_save_that_was_killed_does_no_harm(folder: Path) -> None:
+    for name in ("library.part", "library.old"):
+        (folder.parent / name).mkdir()
+        (folder.parent / name / "junk").write_text("half a file")
+    save_library(replace(LIBRARY, domain="other"), folder)
+    assert load_library(folder).domain == "other"
+    assert [p.name for p in folder.parent.iterdir()] == ["library"]
+
+
+def files() -> list[str]:
+    return [
+        "domain.pddl",
+        "gaussians.json",
+        "provenance.json",
+        "predicates/free.json",
+        "predicates/free.safetensors",
+        "skills/Recover.safetensors",
+        "skills/Pick.json",
+    ]
+
+
+def refused(folder: Path, *words: str) -> None:
+    with pytest.raises(LibraryError) as error:
+        load_library(folder)
+    for word in (*words, "train-sim"):
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize("name", files())
+def test_a_missing_file_is_named(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+    refused(folder, name)
+
+
+@pytest.mark.parametrize("name", files())
+def test_a_truncated_file_is_named(folder: Path, name: str) -> None:
+    path = folder / name
+    path.write_bytes(path.read_bytes()[:-1])
+    refused(folder, name, "truncated or altered")
+
+
+@pytest.mark.parametrize("name", files())
+def test_an_altered_file_is_named(folder: Path, name: str) -> None:
+    path = folder / name
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(bytes(data))
+    refused(folder, name, "truncated or altered")
+
+
+def alter_manifest(folder: Path, **values: object) -> None:
+    path = folder / "library.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
+
+
+def test_another_version_is_refused(folder: Path) -> None:
+    alter_manifest(folder, version=99)
+    refused(folder, "version 99", "reads version 1")
+
+
+@pytest.mark.parametrize("name", ["../secret", "predicates/../../secret", "/etc/hostname"])
+def test_a_file_outside_the_folder_is_refused_unread(folder: Path, name: str) -> None:
+    (folder.parent / "secret").write_text("not yours")
+    listed = json.loads((folder / "library.json").read_text())["files"]
+    alter_manifest(folder, files={**listed, name: "0" * 64})
+    refused(folder, "outside the library", name)
+
+
+@pytest.mark.parametrize("value", [None, [], {}, {"domain.pddl": "0"}])
+def test_a_manifest_without_its_files_is_refused(folder: Path, value: object) -> None:
+    alter_manifest(folder, files=value)
+    refused(folder, "no full list of files")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", "\x00"])
+def test_a_manifest_that_is_none_is_refused(folder: Path, text: str) -> None:
+    (folder / "library.json").write_text(text)
+    refused(folder)
+
+
+def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
+    refused(tmp_path / "absent", "no library folder")
+    refused(tmp_path, "library.json")
+
+
+def test_weights_that_are_none_are_refused_though_their_hash_is_right(folder: Path) -> None:
+    import hashlib
+
+    junk = b"\x80\x04junk that a pickle reader would run"
+    (folder / "predicates/free.safetensors").write_bytes(junk)
+    listed = json.loads((folder / "library.json").read_text())["files"]
+    listed["predicates/free.safetensors"] = hashlib.sha256(junk).hexdigest()
+    alter_manifest(folder, files=listed)
+    refused(folder, "free.safetensors cannot be read")
+
+
+def test_a_folder_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+    # A file where a folder should be: refused to root as well, whom permissions do not stop.
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LibraryError, match=r"cannot write the library(.|\n)*--out"):
+        save_library(LIBRARY, tmp_path / "file" / "library")

@@ -1,0 +1,127 @@
+"""The built-in rig loads; every field that is missing, unknown or of the wrong kind is refused by name."""
+
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from resync_robot.core import spatial
+from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.core.rig import load_rig
+
+BUILT_IN = files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
+
+
+def places() -> list[tuple[str, str]]:
+    """(section, field) of everything that the built-in rig states; of the cameras the second."""
+    data = tomllib.loads(BUILT_IN)
+    top = [("", name) for name, value in data.items() if isinstance(value, str)]
+    tables = [(section, name) for section in ("arm", "gripper") for name in data[section]]
+    return [*top, *tables, *(("cameras", name) for name in data["cameras"][1])]
+
+
+def edit(section: str, name: str, replacement: str | None) -> str:
+    """The built-in rig with one line replaced, or left out."""
+    header = {"": "", "cameras": "[[cameras]]"}.get(section, f"[{section}]")
+    lines, seen, wanted = BUILT_IN.splitlines(), 0, 2 if section == "cameras" else 1
+    current, done = "", False
+    seen = 1 if header == "" else 0
+    for i, line in enumerate(lines):
+        if line.startswith("["):
+            current = line.strip()
+            seen += current == header
+        elif current == header and seen == wanted and line.split("=")[0].strip() == name:
+            lines[i], done = "" if replacement is None else f"{name} = {replacement}", True
+    assert done, f"no line for {section} {name}"
+    return "\n".join(lines)
+
+
+def refused(text: str, tmp_path: Path) -> str:
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as error:
+        load_rig(path)
+    assert str(path) in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize(("section", "name"), places())
+def test_a_missing_field_is_named(section: str, name: str, tmp_path: Path) -> None:
+    message = refused(edit(section, name, None), tmp_path)
+    assert f"no field {name}" in message
+    assert section in message
+
+
+@pytest.mark.parametrize(("section", "name"), places())
+@pytest.mark.parametrize("value", ["true", "[1.0, 2.0]", "{ a = 1 }", "nan", "inf"])
+def test_a_mistyped_field_is_named(section: str, name: str, value: str, tmp_path: Path) -> None:
+    message = refused(edit(section, name, value), tmp_path)
+    assert f"{name} must be" in message
+    assert section in message
+
+
+@pytest.mark.parametrize("section", ["", "[arm]", "[gripper]", "[[cameras]]"])
+def test_an_unknown_field_is_named_with_the_valid_ones(section: str, tmp_path: Path) -> None:
+    text = f"colour = 1\n{BUILT_IN}" if not section else BUILT_IN.replace(section, f"{section}\ncolour = 1", 1)
+    message = refused(text, tmp_path)
+    assert "unknown field colour" in message
+    assert "its fields are" in message
+
+
+@pytest.mark.parametrize(
+    ("section", "name", "value", "expected"),
+    [
+        ("cameras", "mount", '"ceiling"', "allowed: flange, world"),
+        ("cameras", "pose", "[0, 0, 0, 1, 1, 0, 0]", "quaternion has norm 1.414"),
+        ("arm", "home", '[0, 0, 0, 0, 0, "0"]', "home must be 6 numbers"),
+        ("arm", "home", "[0, 0, 0, 0, 0]", "home must be 6 numbers"),
+        ("arm", "velocity_limit", "[1, 1, 1, 1, 1, 0]", "velocity_limit must be positive"),
+        ("gripper", "max_force", "-1.0", "max_force must not be negative"),
+        ("cameras", "width", "0", "width must be a positive number of pixels"),
+        ("cameras", "height", "240.5", "height must be a positive number of pixels"),
+    ],
+)
+def test_a_value_outside_its_range_is_refused(
+    section: str, name: str, value: str, expected: str, tmp_path: Path
+) -> None:
+    assert expected in refused(edit(section, name, value), tmp_path)
+
+
+@pytest.mark.parametrize("section", ["arm", "gripper", "cameras"])
+def test_a_missing_section_is_named(section: str, tmp_path: Path) -> None:
+    kept = BUILT_IN.split("[arm]")[0]
+    for part, following in (("arm", "gripper"), ("gripper", "cameras")):
+        body = BUILT_IN.split(f"[{part}]")[1].split("[" + following if following != "cameras" else "[[cameras]]")[0]
+        kept += f"[{part}]{body}" if part != section else ""
+    kept += "" if section == "cameras" else BUILT_IN[BUILT_IN.index("[[cameras]]") :]
+    assert section in refused(kept, tmp_path)
+
+
+def test_what_is_no_toml_or_not_there_is_refused(tmp_path: Path) -> None:
+    assert "no valid TOML" in refused("name = ", tmp_path)
+    with pytest.raises(ConfigError, match="cannot read the rig file"):
+        load_rig(tmp_path / "absent.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="cannot read the rig file"):
+        load_rig(tmp_path / "binary.toml")
+
+
+def test_the_built_in_rig_is_consistent() -> None:
+    rig = load_rig()
+    assert [c.name for c in rig.cameras] == ["wrist", "front", "side"]
+    for pose in (rig.arm.world_T_base, rig.gripper.flange_T_tip, *(c.pose for c in rig.cameras)):
+        np.testing.assert_allclose(spatial.inverse(pose) @ pose, np.eye(4), atol=1e-9)
+    wrist = rig.camera("wrist")
+    centre = wrist.intrinsics @ np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(centre, [wrist.cx, wrist.cy, 1.0])
+    with pytest.raises(UnknownNameError, match=r"'back'(.|\n)*front, side, wrist"):
+        rig.camera("back")
+
+
+def test_the_hash_names_the_content(tmp_path: Path) -> None:
+    same, other = tmp_path / "same.toml", tmp_path / "other.toml"
+    same.write_text(BUILT_IN)
+    other.write_text(edit("gripper", "max_force", "41.0"))
+    assert load_rig(same).hash == load_rig().hash != load_rig(other).hash
