@@ -1,0 +1,90 @@
+"""The command line: five sub-commands, one clear message for what goes wrong, nothing else.
+
+Each command is a settings dataclass and a function beside it. The modules imported here load nothing heavy
+before their function runs, so that --help answers at once.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import tyro
+
+from resync_robot import __version__
+from resync_robot.core.errors import ResyncError
+from resync_robot.deploy import DeployConfig, deploy
+from resync_robot.doctor import DoctorConfig, doctor
+from resync_robot.evaluate import EvaluateConfig, evaluate
+from resync_robot.review import ReviewConfig, review
+from resync_robot.train import TrainConfig, train
+
+COMMANDS: dict[str, tuple[type, Callable[[Any], int | None]]] = {
+    "train-sim": (TrainConfig, train),
+    "deploy": (DeployConfig, deploy),
+    "evaluate": (EvaluateConfig, evaluate),
+    "review": (ReviewConfig, review),
+    "doctor": (DoctorConfig, doctor),
+}
+"""Name on the command line -> its settings and what runs with them."""
+
+DESCRIPTION = """A robot that learns from its own failures: it trains in simulation, discovers the concepts that \
+say when its skills fail, plans with them, and deploys.
+
+Every command takes -v (--verbose) to log at debug level. --version prints the version."""
+
+PACKAGES = ("resync_robot", "sim_training", "policies", "perception", "hardware", "calibration")
+
+BAD_INPUT, INTERRUPTED = 2, 130
+"""Exit codes; 0 is success, 1 a defect of this program."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one sub-command and return its exit code."""
+    args = list(sys.argv[1:] if argv is None else argv)
+    if args == ["--version"]:
+        print(f"resync-robot {__version__}")
+        return 0
+    verbose = {"-v", "--verbose"} & set(args)
+    log_to_stderr(logging.DEBUG if verbose else logging.INFO)
+    config = tyro.extras.subcommand_cli_from_dict(
+        {name: settings for name, (settings, _) in COMMANDS.items()},
+        prog="resync-robot",
+        description=DESCRIPTION,
+        args=gather([a for a in args if a not in verbose], "--library"),
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
+    )
+    run = next(function for settings, function in COMMANDS.values() if settings is type(config))
+    try:
+        return run(config) or 0
+    except ResyncError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def gather(args: Sequence[str], option: str) -> list[str]:
+    """Make one `option A B` of `option A ... option B`: the parser would silently keep the last one only."""
+    kept: list[str] = []
+    values: list[str] = []
+    target = kept
+    for arg in args:
+        if arg == option:
+            target = values
+        elif arg.startswith(f"{option}="):
+            values.append(arg.removeprefix(f"{option}="))
+        else:
+            target = kept if arg.startswith("-") else target
+            target.append(arg)
+    return kept if option not in args and not values else [*kept, option, *values]
+
+
+def log_to_stderr(level: int) -> None:
+    """Log this project's messages; those of other packages from warnings on."""
+    logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING, stream=sys.stderr)
+    for package in PACKAGES:
+        logging.getLogger(package).setLevel(level)
