@@ -30,10 +30,21 @@ SIGMAS = 2.0
 LINK_RADII = (0.06, 0.055, 0.05, 0.045, 0.045, 0.04)
 PALM = (0.075, 0.12, 0.1)
 
-STEEL, DARK, BELIEF, TRUTH, DOUBT = (
-    (150, 165, 180), (60, 65, 70), (240, 150, 40), (60, 180, 90), (220, 60, 160, 90)
-)  # fmt: skip
+STEEL, DARK, DOUBT, BACKGROUND = (150, 165, 180), (60, 65, 70), (220, 60, 160, 90), (24, 27, 32)
+CURVES = {"requested": (120, 120, 120), "sent": (240, 150, 40), "measured": (80, 170, 240)}
 _LEVELS = {EventKind.GIVE_UP: "ERROR", EventKind.STOP: "ERROR", EventKind.REPLAN: "WARN"}
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Of the edges of an object: colour, half width in m, and whether its name stands beside it."""
+
+    colour: tuple[int, int, int]
+    line: float
+    labelled: bool
+
+
+BELIEF, TRUTH = _Look((240, 150, 40), 0.0012, True), _Look((60, 180, 90), 0.0006, False)
 
 
 def save_drawing(episode: Episode, path: Path) -> None:
@@ -146,12 +157,12 @@ def _draw_robot(episode: Episode, recording: rr.RecordingStream) -> None:
             _send_poses(recording, f"world/robot/hand/{side}_finger", times, spatial.transform(None, offset))
 
     times = np.array([m.time for m in joints])
-    for kind in ("measured", "sent", "requested"):
+    for kind, colour in CURVES.items():
         arm = np.stack([m.measured if kind == "measured" else getattr(m, kind).arm for m in joints])
         for i, joint in enumerate(ARM_JOINTS):
-            _send_curve(recording, f"joints/{joint}/{kind}", times, arm[:, i])
+            _send_curve(recording, f"joints/{joint}/{kind}", times, arm[:, i], colour)
         opening = [m.opening if kind == "measured" else getattr(m, kind).opening for m in joints]
-        _send_curve(recording, f"gripper/{kind}", times, np.array(opening))
+        _send_curve(recording, f"gripper/{kind}", times, np.array(opening), colour)
 
 
 def _capsule(end: np.ndarray, radius: float) -> rr.Capsules3D:
@@ -193,9 +204,7 @@ def _decode(png: bytes | None) -> np.ndarray | None:
     return image if image is not None and image.dtype == np.uint16 and image.ndim == 2 else None
 
 
-def _draw_states(
-    states: Iterator[tuple[float, State]], recording: rr.RecordingStream, root: str, colour: tuple[int, int, int]
-) -> None:
+def _draw_states(states: Iterator[tuple[float, State]], recording: rr.RecordingStream, root: str, look: _Look) -> None:
     before: set[str] = set()
     for time, state in states:
         recording.set_time("time", duration=time)
@@ -212,8 +221,9 @@ def _draw_states(
             recording.log(entity, _pose(spatial.pose_from_features(features[:7])))
             centers, half_sizes = _boxes(obj, features)
             body = rr.Boxes3D(
-                centers=centers, half_sizes=half_sizes, colors=colour, labels=[obj.name], show_labels=obj.type == BLOCK
-            )
+                centers=centers, half_sizes=half_sizes, colors=look.colour, radii=look.line,
+                labels=[obj.name], show_labels=look.labelled and obj.type == BLOCK,
+            )  # fmt: skip
             recording.log(f"{entity}/body", body)
             covariance = state.covariance(obj)
             if covariance is not None:
@@ -283,7 +293,15 @@ def _send_poses(recording: rr.RecordingStream, entity: str, times: np.ndarray, p
     recording.send_columns(entity, [rr.TimeColumn("time", duration=times)], columns)
 
 
-def _send_curve(recording: rr.RecordingStream, entity: str, times: np.ndarray, values: np.ndarray) -> None:
+def _send_curve(
+    recording: rr.RecordingStream,
+    entity: str,
+    times: np.ndarray,
+    values: np.ndarray,
+    colour: tuple[int, int, int] | None = None,
+) -> None:
+    if colour is not None:
+        recording.log(entity, rr.SeriesLines(colors=colour), static=True)
     recording.send_columns(entity, [rr.TimeColumn("time", duration=times)], rr.Scalars.columns(scalars=values))
 
 
@@ -315,7 +333,7 @@ def _blueprint(episode: Episode) -> rrb.Blueprint:
     )  # fmt: skip
     # Depth pictures would be drawn as points a second time.
     hidden = [f"- /world/cameras/{name}/depth/**" for name in episode.cameras]
-    scene = rrb.Spatial3DView(origin="world", contents=["$origin/**", *hidden], name="Scene")
+    scene = rrb.Spatial3DView(origin="world", contents=["$origin/**", *hidden], name="Scene", background=BACKGROUND)
     right: Iterable[rrb.Container | rrb.View] = [rrb.Horizontal(*cameras), tabs] if cameras else [tabs]
     return rrb.Blueprint(
         rrb.Horizontal(scene, rrb.Vertical(*right, row_shares=[2, 3] if cameras else [1]), column_shares=[3, 2]),

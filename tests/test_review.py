@@ -58,7 +58,7 @@ def synthetic_episode(path, seconds: float = 4.0) -> None:
                 writer.event(t, EventKind.SKILL_START, STEPS[step], step=step)
                 writer.plan(t, STEPS, step, "the goal does not hold")
                 record_pictures(writer, rig, measured, t)
-                writer.points(t, rng.normal(size=(500, 3)), rng.integers(0, 255, (500, 3), np.uint8))
+                writer.points(t, rng.normal((0.45, 0, 0.05), 0.1, (500, 3)), rng.integers(0, 255, (500, 3), np.uint8))
         writer.event(seconds, EventKind.GIVE_UP, "no plan")
 
 
