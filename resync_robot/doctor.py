@@ -100,9 +100,11 @@ def check_packages(constraints: Path) -> Finding:
     pins = dict(re.findall(r"^([\w.-]+)==(\S+)", constraints.read_text(), flags=re.MULTILINE))
     pins = {_normal(name): version for name, version in pins.items()}
     installed = {_normal(d.metadata["Name"]): d.version for d in metadata.distributions()}
-    required = {
-        _normal(re.split(r"[^\w.-]", r)[0]) for r in metadata.requires("resync-robot") or () if "extra" not in r
-    }
+    try:
+        needs = [r for r in metadata.requires("resync-robot") or () if "extra" not in r]
+    except metadata.PackageNotFoundError:
+        return Finding("packages", "fail", "resync-robot itself is not installed", SETUP)
+    required = {_normal(re.split(r"[^\w.-]", r)[0]) for r in needs}
     missing = sorted(required - set(installed))
     if missing:
         return Finding("packages", "fail", f"not installed: {', '.join(missing)}", SETUP)

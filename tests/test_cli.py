@@ -1,0 +1,157 @@
+"""The command line: what it answers, with which exit code, and what it must not load to do so."""
+
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from resync_robot import __version__, cli
+from resync_robot.core.errors import ConfigError
+from resync_robot.doctor import DoctorConfig
+from resync_robot.evaluate import EvaluateConfig
+from resync_robot.review import ReviewConfig
+from resync_robot.train import TrainConfig
+
+
+@pytest.fixture
+def given(monkeypatch: pytest.MonkeyPatch):
+    """Replace what a command runs by a function; calling this returns the settings that it was run with."""
+
+    def replace(name: str, result: object = None) -> list[object]:
+        seen: list[object] = []
+
+        def run(config: object) -> object:
+            seen.append(config)
+            if isinstance(result, BaseException):
+                raise result
+            return result
+
+        monkeypatch.setitem(cli.COMMANDS, name, (cli.COMMANDS[name][0], run))
+        return seen
+
+    return replace
+
+
+def exit_code(*args: str) -> int | str | None:
+    """The exit code, whether it is returned or the parser ends the program."""
+    try:
+        return cli.main(args)
+    except SystemExit as end:
+        return end.code
+
+
+def test_help_names_every_command_and_loads_nothing_heavy() -> None:
+    code = (
+        "import sys; from resync_robot.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'torch', 'sapien', 'mani_skill', 'lerobot', 'rerun', 'numpy', 'scipy', 'cv2', 'matplotlib'}\n"
+        "print('LOADED', sorted(heavy & set(sys.modules)))"
+    )
+    outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    for name in cli.COMMANDS:
+        assert name in outcome.stdout
+    assert "LOADED []" in outcome.stdout
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_command_explains_each_of_its_options(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code(name, "--help") == 0
+    shown = capsys.readouterr().out
+    settings = cli.COMMANDS[name][0]
+    for field in settings.__dataclass_fields__:
+        assert f"--{field.replace('_', '-')}" in shown or (settings, field) == (ReviewConfig, "episode")
+    assert "{None}" not in shown
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code("--version") == 0
+    assert capsys.readouterr().out == f"resync-robot {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        ((), "train-sim"),
+        (("fly",), "fly"),
+        (("train-sim", "--speed", "9"), "--speed"),
+        (("train-sim", "--preset", "huge"), "huge"),
+        (("train-sim", "--seed", "one"), "one"),
+        (("deploy", "--backend", "ur5"), "ur5"),
+        (("review",), "PATH"),
+    ],
+)
+def test_what_cannot_be_parsed_is_one_message_and_code_2(
+    args: tuple[str, ...], word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert exit_code(*args) == 2
+    shown = capsys.readouterr()
+    assert word in shown.err
+    assert "Traceback" not in shown.err
+    assert shown.out == ""
+
+
+def test_an_error_of_ours_is_one_message_and_code_2(given, capsys: pytest.CaptureFixture[str]) -> None:
+    given("doctor", ConfigError("the rig is on fire", "put it out"))
+    assert exit_code("doctor") == 2
+    shown = capsys.readouterr()
+    assert shown.err == "error: the rig is on fire\n  -> put it out\n"
+    assert shown.out == ""
+
+
+def test_a_defect_keeps_its_traceback(given) -> None:
+    given("doctor", ZeroDivisionError())
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["doctor"])
+
+
+def test_control_c_is_one_line_and_code_130(given, capsys: pytest.CaptureFixture[str]) -> None:
+    given("doctor", KeyboardInterrupt())
+    assert exit_code("doctor") == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.mark.parametrize(("result", "code"), [(None, 0), (0, 0), (2, 2)])
+def test_a_command_may_return_its_exit_code(given, result: int | None, code: int) -> None:
+    given("doctor", result)
+    assert exit_code("doctor") == code
+
+
+def test_options_reach_the_settings(given) -> None:
+    seen = given("train-sim")
+    assert exit_code("train-sim", "--preset", "full", "--seed", "7", "--resume", "--out", "here") == 0
+    assert seen == [TrainConfig(preset="full", seed=7, resume=True, out=Path("here"))]
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ("--library", "a", "b"),
+        ("--library", "a", "--library", "b"),
+        ("--library=a", "--library=b"),
+        ("--library", "a", "--episodes", "10", "--library", "b"),
+    ],
+)
+def test_several_libraries_are_all_kept(given, args: tuple[str, ...]) -> None:
+    seen = given("evaluate")
+    assert exit_code("evaluate", *args, "--seeds", "0", "1") == 0
+    assert seen == [EvaluateConfig(library=(Path("a"), Path("b")), seeds=(0, 1))]
+
+
+@pytest.mark.parametrize("args", [("-v", "doctor"), ("doctor", "-v"), ("doctor", "--verbose")])
+def test_verbose_logs_our_packages_at_debug_level(given, args: tuple[str, ...]) -> None:
+    seen = given("doctor")
+    assert exit_code(*args) == 0
+    assert seen == [DoctorConfig()]
+    assert logging.getLogger("sim_training.ppo").isEnabledFor(logging.DEBUG)
+    assert not logging.getLogger("matplotlib").isEnabledFor(logging.DEBUG)
+    assert exit_code("doctor") == 0
+    assert not logging.getLogger("sim_training.ppo").isEnabledFor(logging.DEBUG)
+
+
+def test_the_module_runs_as_the_command_does() -> None:
+    command = [sys.executable, "-m", "resync_robot", "--version"]
+    outcome = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert outcome.stdout == f"resync-robot {__version__}\n"
