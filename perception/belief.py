@@ -1,0 +1,281 @@
+"""What the robot believes about the scene between two scans: estimates, what it holds, what it no longer sees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from perception.objects import SceneEstimate, SceneEstimator
+from perception.pose import BlockEstimate, Glimpse, inside_box, upright_covariance, yaw_variance_of
+from resync_robot.core import spatial
+from resync_robot.core.errors import PerceptionError, UnknownNameError
+from resync_robot.core.rig import Rig
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.core.world import CameraFrame
+
+GRIP_SLACK = 0.008
+"""m by which the opening may differ from a block's width while the pads hold it."""
+AT_TIP = (0.030, 0.020, 0.040)
+"""How far a block's centre may lie from the tips, along x, y and z of the tool, when the pads close on it, m."""
+BENEATH = 0.045
+"""Horizontal distance from a block within which another one counts as under it, m."""
+LIFTED = 0.020
+"""A block whose underside is this far above the ground stands on something, m."""
+
+
+class MissingObjectsError(PerceptionError):
+    """A scan did not find everything.
+
+    Attributes:
+        missing: names of the blocks that were neither seen nor plausibly hidden.
+        seen: names of those that were.
+    """
+
+    def __init__(self, missing: tuple[str, ...], seen: tuple[str, ...]) -> None:
+        super().__init__(
+            f"the scan did not find {', '.join(missing)}; it found {', '.join(seen) or 'no block'}",
+            "put it where the wrist camera looks: into the box, or on the table left or right of it",
+        )
+        self.missing, self.seen = missing, seen
+
+
+@dataclass(frozen=True)
+class ScanReport:
+    """What the last scan said about each block, by name. `tipped` blocks were seen, but do not stand upright."""
+
+    seen: tuple[str, ...] = ()
+    hidden: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+    tipped: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Known:
+    """One object's estimate. `scans`: how many have measured its size, `height_known` whether its height was seen."""
+
+    features: np.ndarray
+    covariance: np.ndarray
+    scans: int = 1
+    height_known: bool = True
+
+
+class Belief:
+    """Keeps an estimated state of box and blocks.
+
+    A block that the pads have closed on rides with the tips; the jaws centre it and turn it flush, so its place
+    between them is known better than before. Sizes are averaged over the scans; poses are those of the last one.
+
+    Args:
+        robot_object, box_object, block_objects: whose features to estimate; blocks by the catalogue's names.
+        rig: whose hand and cameras.
+        estimator: SceneEstimator(rig) by default.
+
+    Raises:
+        UnknownNameError: a block that the catalogue does not have.
+    """
+
+    def __init__(
+        self,
+        robot_object: Object,
+        box_object: Object,
+        block_objects: Sequence[Object],
+        rig: Rig,
+        estimator: SceneEstimator | None = None,
+    ) -> None:
+        self._estimator = estimator or SceneEstimator(rig)
+        self._robot, self._box, self._blocks = robot_object, box_object, tuple(block_objects)
+        names = tuple(self._estimator.catalogue.hues)
+        for block in self._blocks:
+            if block.name not in names:
+                raise UnknownNameError("block of the catalogue", block.name, names)
+        self._known: dict[Object, _Known] = {}
+        self._held: Object | None = None
+        self._tip_T_held = np.eye(4)
+        self._last_opening = np.inf
+        self.report = ScanReport()
+
+    @property
+    def held(self) -> Object | None:
+        """The block between the pads, as believed."""
+        return self._held
+
+    def update_from_scan(self, frames: Sequence[CameraFrame], robot_features: Float[np.ndarray, "8"]) -> State:
+        """Take in the pictures of a scan, taken with the hand as it is now.
+
+        Raises:
+            MissingObjectsError: a block was not found and is not plausibly hidden; it keeps its old estimate, and
+                the next `state` works if there is one.
+            PerceptionError: pictures that cannot be used, or no box; nothing is changed.
+        """
+        self._follow_hand(robot_features)
+        return self.update(self._estimator.estimate(frames), robot_features)
+
+    def update(self, scene: SceneEstimate, robot_features: Float[np.ndarray, "8"]) -> State:
+        """Take in an estimate of the scene. Raises MissingObjectsError as `update_from_scan` does."""
+        box_sizes, scans = self._averaged_sizes(self._box, scene.box.features[7:])
+        self._known[self._box] = _Known(np.array([*scene.box.features[:7], *box_sizes]), scene.box.covariance, scans)
+        seen = [b for b in self._blocks if b.name in scene.blocks]
+        if self._held in seen:
+            self.release()
+        for block in seen:
+            self._take(block, scene.blocks[block.name])
+        unseen = [b for b in self._blocks if b not in seen and b != self._held]
+        hidden = [b for b in unseen if self._hide(b, seen, scene)]
+        missing = tuple(b.name for b in unseen if b not in hidden)
+        self.report = ScanReport(
+            seen=tuple(b.name for b in seen),
+            hidden=tuple(b.name for b in hidden),
+            held=(self._held.name,) if self._held else (),
+            tipped=tuple(b.name for b in seen if not scene.blocks[b.name].upright),
+        )
+        if missing:
+            raise MissingObjectsError(missing, self.report.seen)
+        return self.state(robot_features)
+
+    def state(self, robot_features: Float[np.ndarray, "8"]) -> State:
+        """The present belief: the robot as measured, the held block at the tips, the rest as last seen.
+
+        Called at every control step, so that it notices when the pads close on a block and when they let go.
+
+        Raises:
+            PerceptionError: nothing was scanned yet.
+        """
+        if self._box not in self._known:
+            raise PerceptionError("no scan was made yet, so nothing is known of the scene", "scan before asking")
+        self._follow_hand(robot_features)
+        features = {o: k.features for o, k in self._known.items()}
+        covariance = {o: k.covariance for o, k in self._known.items()}
+        return State({**features, self._robot: np.asarray(robot_features)}, covariance)
+
+    def attach(self, block: Object, robot_features: Float[np.ndarray, "8"]) -> None:
+        """The pads hold `block`: from now on it rides with the tips. Raises UnknownNameError if it was never seen."""
+        if block not in self._known:
+            raise UnknownNameError("block seen so far", block.name, [o.name for o in self._known if o in self._blocks])
+        world_T_tip = spatial.pose_from_features(np.asarray(robot_features)[:7])
+        tip_T_block = spatial.inverse(world_T_tip) @ spatial.pose_from_features(self._known[block].features[:7])
+        # The jaws push the block to their middle and turn its faces flush with the pads.
+        tip_T_block[1, 3] = 0.0
+        yaw = float(np.arctan2(tip_T_block[1, 0], tip_T_block[0, 0]))
+        askew = float(spatial.wrap(yaw, np.pi / 2))
+        if abs(askew) < np.radians(20):
+            tip_T_block[:3, :3] = spatial.rotation_about("z", -askew) @ tip_T_block[:3, :3]
+        self._held, self._tip_T_held = block, tip_T_block
+        self._ride(world_T_tip)
+
+    def release(self) -> None:
+        """The pads hold nothing any more; the block is believed where they left it."""
+        self._held = None
+
+    def _follow_hand(self, robot_features: Float[np.ndarray, "8"]) -> None:
+        features = np.asarray(robot_features)
+        opening = float(features[7])
+        world_T_tip = spatial.pose_from_features(features[:7])
+        if self._held is not None:
+            width = self._known[self._held].features[7:9].max()
+            if abs(opening - width) > GRIP_SLACK + 0.004:
+                self.release()
+            else:
+                self._ride(world_T_tip)
+        elif opening <= self._last_opening + 1e-4:
+            block = self._between_pads(world_T_tip, opening)
+            if block is not None:
+                self.attach(block, features)
+        self._last_opening = opening
+
+    def _between_pads(self, world_T_tip: np.ndarray, opening: float) -> Object | None:
+        tip_T_world = spatial.inverse(world_T_tip)
+        for block in self._blocks:
+            if block not in self._known:
+                continue
+            features = self._known[block].features
+            place = np.abs(tip_T_world[:3, :3] @ features[:3] + tip_T_world[:3, 3])
+            if abs(opening - features[7:9].max()) < GRIP_SLACK and np.all(place < AT_TIP):
+                return block
+        return None
+
+    def _ride(self, world_T_tip: np.ndarray) -> None:
+        if self._held is None:
+            return
+        known = self._known[self._held]
+        pose = spatial.features_from_pose(world_T_tip @ self._tip_T_held)
+        self._known[self._held] = replace(known, features=np.concatenate([pose, known.features[7:]]))
+
+    def _take(self, block: Object, estimate: BlockEstimate) -> None:
+        before = self._known.get(block)
+        sizes, scans = self._averaged_sizes(block, estimate.features[7:])
+        height_known = not estimate.stacked
+        if before is not None and before.height_known != height_known:
+            # Only a block that stands on the ground shows its own height.
+            sizes[2] = estimate.features[9] if height_known else before.features[9]
+            height_known = True
+        quat = estimate.features[3:7]
+        if before is not None:
+            quat = _nearest_quarter_turn(quat, before.features[3:7])
+        features = np.array([*estimate.features[:2], estimate.top_z - sizes[2] / 2, *quat, *sizes])
+        covariance = estimate.covariance.copy()
+        covariance[:7, :7] = upright_covariance(np.diag(covariance)[:3], yaw_variance_of(covariance), quat)
+        self._known[block] = _Known(features, covariance, scans, height_known)
+
+    def _averaged_sizes(self, obj: Object, sizes: np.ndarray) -> tuple[np.ndarray, int]:
+        """Mean over all scans so far and this one, and how many those are."""
+        before = self._known.get(obj)
+        if before is None:
+            return sizes.copy(), 1
+        return before.features[7:] + (sizes - before.features[7:]) / (before.scans + 1), before.scans + 1
+
+    def _hide(self, block: Object, seen: Sequence[Object], scene: SceneEstimate) -> bool:
+        """Is a block that was not found plausibly under a seen one? If so, its estimate is brought up to date."""
+        before, glimpse = self._known.get(block), scene.glimpses.get(block.name)
+        if glimpse is not None:
+            place = glimpse.centre
+        elif before is not None:
+            place = before.features[:2]
+        else:
+            return False
+        for cover in seen:
+            above = self._known[cover].features
+            underside = above[2] - above[9] / 2
+            lifted = underside > self._ground(above[:2]) + LIFTED
+            if lifted and float(np.hypot(*(above[:2] - place))) < BENEATH:
+                self._put_under(block, self._known[cover], glimpse)
+                return True
+        return False
+
+    def _put_under(self, block: Object, cover: _Known, glimpse: Glimpse | None) -> None:
+        before = self._known.get(block)
+        if glimpse is None and before is not None:
+            # Not one point of it: the last estimate is all there is, and the hand has been at work since.
+            covariance = before.covariance.copy()
+            covariance[:2, :2] += np.eye(2) * 0.004**2
+            self._known[block] = replace(before, covariance=covariance)
+            return
+        # A stud in a socket leaves 1.5 mm of play a side, so the block above tells where this one stands.
+        above = cover.features
+        quat, size, size_sigma, scans = above[3:7], above[7:10], 0.005, 0
+        if before is not None:
+            quat, size = _nearest_quarter_turn(quat, before.features[3:7]), before.features[7:10]
+            size_sigma, scans = 0.0015, before.scans
+        underside = above[2] - above[9] / 2
+        top = underside if glimpse is None else min(underside, glimpse.high)
+        features = np.array([*above[:2], top - size[2] / 2, *quat, *size])
+        covariance = np.zeros((10, 10))
+        variance = np.diag(cover.covariance)[:3] + np.array([0.0015, 0.0015, 0.003]) ** 2
+        covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.05**2, quat)
+        covariance[7:, 7:] = np.eye(3) * size_sigma**2
+        known = before is not None and before.height_known
+        self._known[block] = _Known(features, covariance, max(scans, 1), known)
+
+    def _ground(self, xy: np.ndarray) -> float:
+        catalogue = self._estimator.catalogue
+        inside = inside_box(xy, self._known[self._box].features)
+        return catalogue.table_z + (catalogue.floor_thickness if inside else 0.0)
+
+
+def _nearest_quarter_turn(quat: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """The same square's orientation, turned by quarters to be nearest to `reference`; both upright."""
+    away = float(spatial.wrap(spatial.yaw_of(quat) - spatial.yaw_of(reference), np.pi / 2))
+    return spatial.quat_from_yaw(spatial.wrap(spatial.yaw_of(reference) + away))

@@ -1,0 +1,53 @@
+"""A scan's pictures in, an estimate of the scene out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from perception.catalogue import Catalogue
+from perception.pose import BlockEstimate, BoxEstimate, Glimpse, box_outline, estimate_blocks, estimate_box
+from perception.segment import ColourSegmenter, Segmenter
+from perception.views import level, make_view
+from resync_robot.core.errors import PerceptionError
+from resync_robot.core.rig import Rig
+from resync_robot.core.world import CameraFrame
+
+
+@dataclass(frozen=True)
+class SceneEstimate:
+    """What one scan says. `blocks` by name; `glimpses`: blocks of which only sides are seen."""
+
+    box: BoxEstimate
+    blocks: Mapping[str, BlockEstimate]
+    glimpses: Mapping[str, Glimpse]
+
+
+class SceneEstimator:
+    """Estimates box and blocks from a scan.
+
+    Args:
+        rig: whose hand to mask, and where the cameras sit.
+        catalogue: what may stand on the table.
+        segmenter: colour by default.
+    """
+
+    def __init__(self, rig: Rig, catalogue: Catalogue | None = None, segmenter: Segmenter | None = None) -> None:
+        self.rig = rig
+        self.catalogue = catalogue or Catalogue()
+        self.segmenter = segmenter or ColourSegmenter(self.catalogue)
+
+    def estimate(self, frames: Sequence[CameraFrame]) -> SceneEstimate:
+        """Fuse the pictures of one scan.
+
+        Raises:
+            PerceptionError: no pictures, one that cannot be used, or no box.
+        """
+        if not frames:
+            raise PerceptionError("a scan without pictures", "check that the wrist camera delivers frames")
+        views = [make_view(f, self.segmenter, self.catalogue, self.rig) for f in frames]
+        outline = box_outline(views, self.catalogue)
+        views = [level(v, self.catalogue, outline) for v in views]
+        box = estimate_box(views, self.catalogue)
+        blocks, glimpses = estimate_blocks(views, self.catalogue, box)
+        return SceneEstimate(box, blocks, glimpses)

@@ -1,0 +1,122 @@
+"""Where to hold the wrist camera so that a few pictures show the whole box and the table on both sides of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from resync_robot.core import kinematics, spatial
+from resync_robot.core.errors import MotionError, PerceptionError
+from resync_robot.core.rig import Rig
+from resync_robot.core.world import CameraFrame
+
+LEAST_TIP_HEIGHT = 0.27
+"""m above the table: clears the box's walls and a tower of three with a block in the hand."""
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A place of the wrist camera, tool down.
+
+    Attributes:
+        camera_xy: (x, y) of the camera in the world, m.
+        tip_height: of the finger tips above the table, m.
+        yaw: direction from the tips to the camera about the world's z, rad. The camera looks back over the tips, so
+            the picture covers the far side more than its own.
+    """
+
+    camera_xy: tuple[float, float]
+    tip_height: float
+    yaw: float
+
+
+BOX_AND_SIDES = (
+    Viewpoint((0.46, -0.36), 0.30, -np.pi / 2),
+    Viewpoint((0.46, -0.14), 0.33, -np.pi / 2),
+    Viewpoint((0.60, 0.00), 0.35, 0.0),
+    Viewpoint((0.46, 0.14), 0.33, np.pi / 2),
+    Viewpoint((0.46, 0.36), 0.30, np.pi / 2),
+    Viewpoint((0.34, 0.00), 0.35, np.pi),
+)
+"""The box from all four sides (each camera stands inside the walls' outline, or they would hide a corner), the table
+on either side; in an order that turns the wrist one way only."""
+
+
+class Scan:
+    """A planned round of pictures.
+
+    Args:
+        rig: arm, gripper, and a camera called `camera` on the flange.
+        viewpoints: where to look from.
+
+    Raises:
+        PerceptionError: a viewpoint is too low, or the camera is not on the flange.
+        MotionError: the arm does not reach a viewpoint.
+    """
+
+    def __init__(self, rig: Rig, viewpoints: Sequence[Viewpoint] = BOX_AND_SIDES, camera: str = "wrist") -> None:
+        self._rig = rig
+        self._camera = rig.camera(camera)
+        if self._camera.mount != "flange":
+            raise PerceptionError(
+                f"camera '{camera}' is mounted on the {self._camera.mount}; a scan moves one on the flange",
+                "name the wrist camera, or set its mount in the rig file",
+            )
+        low = [v for v in viewpoints if v.tip_height < LEAST_TIP_HEIGHT]
+        if low:
+            raise PerceptionError(
+                f"a viewpoint holds the tips {low[0].tip_height:.3f} m above the table, at least "
+                f"{LEAST_TIP_HEIGHT} m is allowed"
+            )
+        self.configurations = self._plan(viewpoints)
+
+    def __call__(
+        self, move: Callable[[Float[np.ndarray, "6"]], None], capture: Callable[[], CameraFrame]
+    ) -> list[CameraFrame]:
+        """Take every picture.
+
+        Args:
+            move: brings the arm to (6,) joint positions in rad and returns when it stands still there.
+            capture: a picture exposed after the call.
+        """
+        frames = []
+        for q in self.configurations:
+            move(q)
+            frames.append(capture())
+        return frames
+
+    def tip_pose(self, viewpoint: Viewpoint) -> Float[np.ndarray, "4 4"]:
+        """world_T_tip that puts the camera at a viewpoint."""
+        rotation = spatial.rotation_about("z", viewpoint.yaw) @ spatial.rotation_about("x", np.pi)
+        offset = rotation @ self._camera.pose[:3, 3]
+        position = np.array([*viewpoint.camera_xy, viewpoint.tip_height])
+        position[:2] -= offset[:2]
+        return spatial.transform(rotation, position)
+
+    def _plan(self, viewpoints: Sequence[Viewpoint]) -> list[Float[np.ndarray, "6"]]:
+        """Configurations on the arm's branch at home: another branch would fold the forearm into the picture."""
+        arm = self._rig.arm
+        branch = min(kinematics.BRANCHES, key=lambda b: self._distance_from_home(b))
+        base_T_world, tip_T_flange = spatial.inverse(arm.world_T_base), spatial.inverse(self._rig.gripper.flange_T_tip)
+        configurations, last = [], arm.home
+        for view in viewpoints:
+            with np.errstate(invalid="ignore"):
+                q = kinematics.inverse_branch(base_T_world @ self.tip_pose(view) @ tip_T_flange, branch)
+            q = q + 2 * np.pi * np.round((last - q) / (2 * np.pi))
+            limit = kinematics.JOINT_LIMIT
+            q = np.where(q > limit, q - 2 * np.pi, np.where(q < -limit, q + 2 * np.pi, q))
+            if not np.all(np.abs(q) <= limit):
+                raise MotionError(f"the arm cannot hold the wrist camera at {view}", "move the viewpoint nearer")
+            configurations.append(q)
+            last = q
+        return configurations
+
+    def _distance_from_home(self, branch: tuple[int, int, int]) -> float:
+        home = self._rig.arm.home
+        with np.errstate(invalid="ignore"):
+            q = kinematics.inverse_branch(kinematics.forward(home), branch)
+        away = np.abs(spatial.wrap(q - home)).max()
+        return float(away) if np.isfinite(away) else np.inf

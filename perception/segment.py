@@ -1,0 +1,69 @@
+"""Which pixels belong to which object. A segmenter is anything with `segment(frame) -> list[Segment]`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+from jaxtyping import Bool
+
+from perception.catalogue import Catalogue
+from resync_robot.core.errors import PerceptionError
+from resync_robot.core.world import CameraFrame
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Attributes: `label`, the name of an object; `mask` (H, W) bool, its pixels in one picture."""
+
+    label: str
+    mask: Bool[np.ndarray, "h w"]
+
+
+class Segmenter(Protocol):
+    """Finds the named objects in one picture; an object that is not seen has no segment."""
+
+    def segment(self, frame: CameraFrame) -> list[Segment]: ...
+
+
+class ColourSegmenter:
+    """Saturated pixels of a catalogue hue, joined into connected components. Needs no weights.
+
+    One segment for every component, so that one label may come several times (a block seen in two parts behind the
+    hand); what belongs together is decided in space, not in the picture.
+
+    Args:
+        catalogue: the hue of each object.
+        least_pixels: smaller components are noise.
+    """
+
+    def __init__(self, catalogue: Catalogue, least_pixels: int = 25) -> None:
+        self._catalogue = catalogue
+        self._least_pixels = least_pixels
+
+    def segment(self, frame: CameraFrame) -> list[Segment]:
+        """Components of every catalogue colour. Raises PerceptionError on a picture that is no 8-bit RGB."""
+        colour = frame.colour
+        if colour.dtype != np.uint8 or colour.ndim != 3 or colour.shape[2] != 3:
+            raise PerceptionError(
+                f"the picture of camera '{frame.name}' is {colour.dtype} {colour.shape}, not uint8 (H, W, 3) RGB",
+                "set the camera's colour stream to RGB8",
+            )
+        c = self._catalogue
+        hsv = cv2.cvtColor(cv2.GaussianBlur(colour, (3, 3), 0.6), cv2.COLOR_RGB2HSV_FULL)
+        hue = hsv[..., 0].astype(np.float32) / 256
+        vivid = (hsv[..., 1] >= c.least_saturation * 255) & (hsv[..., 2] >= c.least_value * 255)
+        names = list(c.hues)
+        away = np.stack([np.abs((hue - c.hues[n] + 0.5) % 1.0 - 0.5) for n in names])
+        nearest = np.argmin(away, axis=0)
+        close = vivid & (np.min(away, axis=0) <= c.hue_tolerance)
+        segments = []
+        for i, name in enumerate(names):
+            mask = (close & (nearest == i)).astype(np.uint8)
+            count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+            segments += [
+                Segment(name, labels == k) for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] >= self._least_pixels
+            ]
+        return segments
