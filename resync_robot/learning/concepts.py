@@ -1,0 +1,239 @@
+"""Trajectories in, concepts out: the front door of concept learning (Section "Concept Learning" of the paper).
+
+    candidates by effect -> contradictions sorted out -> classifiers trained -> derived forms -> selection on J
+
+Two formulations. `default`: a failed attempt and its recovery are one use of the recovery skill, failed attempts
+label one "ready for that skill" candidate for each skill, J compares the first plan. `paper`: as published, a failed
+attempt is a skill of its own, only successes count, J weighs several plans.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from resync_robot.core.errors import TrainingError, UnknownNameError
+from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Type, Variable
+from resync_robot.core.task import Domain
+from resync_robot.core.trajectory import Trajectory
+from resync_robot.learning.classifiers import NeuralClassifier
+from resync_robot.learning.dataset import Dataset, merged_dataset, variant_dataset
+from resync_robot.learning.effects import Candidate, affordances, candidates, supervise
+from resync_robot.learning.features import gather
+from resync_robot.learning.fit import PAPER, SCREENING, Fit, FitConfig, fit
+from resync_robot.learning.model import Concepts, assemble, quantifications
+from resync_robot.learning.operators import OperatorConfig, evidence
+from resync_robot.learning.select import PAPER_J, Concept, SelectConfig, Selector, select
+from resync_robot.planning.abstract import HOLDS, Abstraction, Form, Not
+
+Mode = Literal["default", "paper"]
+Progress = Callable[[str, float], None]
+Table = dict[tuple[Object, ...], float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConceptConfig:
+    """Settings of concept learning.
+
+    Attributes:
+        max_loss: a classifier that fits worse on held-out trajectories is no predicate.
+        min_accuracy: the same for candidates labelled by attempts, whose labels are noisy at the boundary: balanced
+            accuracy on held-out labels.
+        max_screening_loss, max_screening_loss_attempts: above these the small net's candidates are not trained fully.
+    """
+
+    mode: Mode = "default"
+    fit: FitConfig = PAPER
+    screening: FitConfig = SCREENING
+    max_loss: float = 0.05
+    min_accuracy: float = 0.85
+    max_screening_loss: float = 0.25
+    max_screening_loss_attempts: float = 0.45
+    operators: OperatorConfig = OperatorConfig()
+    select: SelectConfig = SelectConfig()
+
+    @staticmethod
+    def of(mode: str) -> ConceptConfig:
+        """The settings of a formulation. Raises UnknownNameError on a strange one."""
+        if mode == "default":
+            return ConceptConfig()
+        if mode == "paper":
+            return ConceptConfig(mode="paper", operators=OperatorConfig(use_failures=False), select=PAPER_J)
+        raise UnknownNameError("formulation of concept learning", mode, ["default", "paper"])
+
+
+def learn_concepts(
+    trajectories: Sequence[Trajectory],
+    given: Domain,
+    recovery: str,
+    recovery_types: Sequence[Type],
+    failed_skill: str,
+    mode: str = "default",
+    seed: int = 0,
+    progress: Progress = lambda what, share: None,
+    config: ConceptConfig | None = None,
+) -> Concepts:
+    """Learn predicates and operators that let the planner use the recovery skill ahead of failure.
+
+    Args:
+        trajectories: dreams (successful and failed attempts) and single attempts (`source` "attempt").
+        given: types, predicates with classifiers, operators known before.
+        recovery, recovery_types: name and signature of the new skill.
+        failed_skill: the skill whose failure the recovery mends.
+        progress: called with what is going on and the share of it done.
+
+    Raises:
+        TrainingError: the data hold no successful recovery, or use unknown skills.
+    """
+    config = config or ConceptConfig.of(mode)
+    start = time.perf_counter()
+    signatures = {op.name: tuple(v.type for v in op.parameters) for op in given.operators}
+    if failed_skill not in signatures:
+        raise UnknownNameError("failed skill", failed_skill, list(signatures))
+    signatures[recovery] = tuple(recovery_types)
+    view = merged_dataset if config.mode == "default" else variant_dataset
+    dataset = view(trajectories, recovery, signatures)
+    after = _skill_after(dataset, recovery)
+    failing = failed_skill if config.mode == "default" else f"{failed_skill}_{recovery}"
+    affected = [s for s in (recovery, failing, after) if s in dataset.signatures]
+
+    proposals = candidates(recovery, affected, dataset.signatures)
+    if config.mode == "default":
+        tried = [op.name for op in given.operators]
+        proposals += affordances(recovery, tried, dataset.signatures)
+    kept, log = _train(dataset, proposals, config, seed, progress)
+
+    parameters = _parameters(dataset.signatures, given.operators)
+    judge = Abstraction(given.predicates, given.classifiers)
+    truth = [judge.true_atoms(dataset.state_at(m)) for m in range(len(dataset.moments))]
+    columns = [evidence(dataset, truth, p, parameters, learned=False) for p in judge.predicates]
+    pool = _pool(dataset, kept, parameters)
+    selector = Selector(
+        dataset, truth, columns, parameters, {op.name: op for op in given.operators}, config.select, config.operators
+    )
+    selection = select(selector, pool, progress)
+    progress("concepts learned", 1.0)
+    report = {
+        "mode": config.mode,
+        "seed": seed,
+        "candidates": log,
+        "pool": len(pool),
+        "demonstrations": len(selector.demonstrations),
+        "failed_attempts": len(selector.failures),
+        "variants": {s: failed_skill for s in dataset.signatures if s not in signatures},
+        "seconds": round(time.perf_counter() - start, 2),
+    }
+    return assemble(given, selection, selector, pool, {c.name: f for c, f in kept}, report)
+
+
+def _skill_after(dataset: Dataset, recovery: str) -> str:
+    """The skill that most often follows the recovery."""
+    following = Counter(
+        b.skill for run in dataset.runs for a, b in zip(run.steps, run.steps[1:], strict=False) if a.skill == recovery
+    )
+    if not following:
+        raise TrainingError(
+            f"no trajectory continues after a successful {recovery}", "dream 'before' states that trigger the recovery"
+        )
+    return min(following, key=lambda s: (-following[s], s))
+
+
+def _train(
+    dataset: Dataset, proposals: Sequence[Candidate], config: ConceptConfig, seed: int, progress: Progress
+) -> tuple[list[tuple[Candidate, Fit]], list[dict[str, Any]]]:
+    """Contradictions out, a small net for each that is left, the full one where the small one fits."""
+    kept: list[tuple[Candidate, Fit]] = []
+    log: list[dict[str, Any]] = []
+    for i, candidate in enumerate(proposals):
+        entry: dict[str, Any] = {"candidate": str(candidate), "name": candidate.name}
+        log.append(entry)
+        progress(f"training classifiers, {len(kept)} kept", i / len(proposals))
+        supervision = supervise(dataset, candidate)
+        entry["conflicts"] = round(supervision.conflicts, 4)
+        if supervision.contradicted:
+            entry["verdict"] = "contradicted by the data, not trained"
+            continue
+        labelled = candidate.attempts is not None
+        try:
+            small = fit(dataset, candidate, supervision, seed + i, config.screening)
+        except TrainingError as error:
+            entry["verdict"] = error.what
+            continue
+        entry["screening_loss"] = round(small.loss, 4)
+        if small.loss > (config.max_screening_loss_attempts if labelled else config.max_screening_loss):
+            entry["verdict"] = "does not fit (small net)"
+            continue
+        result = fit(dataset, candidate, supervision, seed + i, config.fit)
+        entry |= {"train_loss": round(result.train_loss, 4), "loss": round(result.loss, 4)}
+        entry["accuracy"] = round(result.accuracy, 4)
+        fits = result.accuracy >= config.min_accuracy if labelled else result.loss <= config.max_loss
+        entry["verdict"] = "kept" if fits else "does not fit"
+        if fits:
+            kept.append((candidate, result))
+    return kept, log
+
+
+def _parameters(signatures: Mapping[str, Sequence[Type]], given: Sequence[Operator]) -> dict[str, tuple[Variable, ...]]:
+    """Variables of each skill: those of the given operator where there is one."""
+    known = {op.name: op.parameters for op in given}
+    result = {}
+    for skill, types in signatures.items():
+        fresh = tuple(Variable(f"?{t.name}{'' if list(types).count(t) == 1 else i}", t) for i, t in enumerate(types))
+        result[skill] = known.get(skill, fresh)
+    return result
+
+
+def forms_of(base: Predicate) -> list[Form]:
+    """Derived forms to try: every quantification of the arguments, and the negation of each and of the base."""
+    quantified = quantifications(base)
+    return [*quantified, Not(base), *(Not(f.predicate) for f in quantified)]
+
+
+def _pool(
+    dataset: Dataset, kept: Sequence[tuple[Candidate, Fit]], parameters: Mapping[str, tuple[Variable, ...]]
+) -> list[Concept]:
+    """Every kept candidate and its forms, without those that are true of the same things at the same moments."""
+    pool: list[Concept] = []
+    seen: set[tuple[tuple[Type, ...], tuple[frozenset[tuple[Object, ...]], ...]]] = set()
+    # The preferred ones first, so that they are the ones that stay.
+    for candidate, result in sorted(
+        kept, key=lambda pair: (pair[0].attempts is None, len(pair[0].effects), pair[1].loss)
+    ):
+        base = Predicate(candidate.name, candidate.types)
+        tables: dict[str, list[Table]] = {base.name: probabilities(result.classifier, dataset)}
+        members: list[tuple[Predicate, Form | None]] = [(base, None), *((f.predicate, f) for f in forms_of(base))]
+        for predicate, form in members:
+            if form is not None:
+                tables[predicate.name] = _derive(form, predicate, tables[form.base.name], dataset)
+            held = tuple(frozenset(args for args, p in t.items() if p > HOLDS) for t in tables[predicate.name])
+            if (predicate.types, held) in seen:
+                continue
+            seen.add((predicate.types, held))
+            truth: tuple[Atoms, ...] = tuple(frozenset(predicate(*args) for args in h) for h in held)
+            columns = evidence(dataset, truth, predicate, parameters, learned=True)
+            pool.append(Concept(predicate, form, candidate, truth, columns, result.loss))
+    return pool
+
+
+def probabilities(classifier: NeuralClassifier, dataset: Dataset) -> list[Table]:
+    """For each moment the probability of every grounding, in one forward pass."""
+    atoms = Predicate("any", classifier.types)
+    keys = [(m, a.args) for m in range(len(dataset.moments)) for a in atoms.groundings(dataset.state_at(m))]
+    rows = gather([dataset.state_at(m) for m, _ in keys], [args for _, args in keys])
+    tables: list[Table] = [{} for _ in dataset.moments]
+    for (m, args), p in zip(keys, classifier.probabilities(rows), strict=True):
+        tables[m][args] = float(p)
+    return tables
+
+
+def _derive(form: Form, predicate: Predicate, base: Sequence[Table], dataset: Dataset) -> list[Table]:
+    result = []
+    for m, table in enumerate(base):
+        groups: dict[tuple[Object, ...], list[float]] = {a.args: [] for a in predicate.groundings(dataset.state_at(m))}
+        for args, p in table.items():
+            groups[form.keeps(args)].append(p)
+        result.append({args: form.combine(values) for args, values in groups.items()})
+    return result

@@ -1,0 +1,149 @@
+"""Trajectories as concept learning reads them: moments, the steps between them, and attempts that failed.
+
+A moment is a point of a trajectory at which no symbol can have changed: the state after a skill and the state before
+the next one are the same moment, and so are the states around a failed attempt that its recovery then mended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from resync_robot.core.errors import TrainingError
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atoms, Object, Type
+from resync_robot.core.trajectory import Trajectory, Transition
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One attempt of a skill, between two moments (indices into `Dataset.moments`)."""
+
+    skill: str
+    objects: tuple[Object, ...]
+    before: int
+    after: int
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One trajectory.
+
+    Attributes:
+        steps: successful attempts in order; where the trajectory is solved they are the demonstration.
+        failures: attempts that failed (`after` is the moment that followed).
+        first: the moment the trajectory starts from.
+    """
+
+    steps: tuple[Step, ...]
+    failures: tuple[Step, ...]
+    first: int
+    goal: Atoms
+    solved: bool
+    source: str
+    objects: tuple[Object, ...]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """All states, moments and runs.
+
+    Attributes:
+        moments: for each moment the states (indices) it was seen in; the first stands for it.
+        signatures: skill name -> types of its objects.
+    """
+
+    states: tuple[State, ...]
+    moments: tuple[tuple[int, ...], ...]
+    runs: tuple[Run, ...]
+    signatures: Mapping[str, tuple[Type, ...]]
+
+    def state_at(self, moment: int) -> State:
+        return self.states[self.moments[moment][0]]
+
+
+def merged_dataset(
+    trajectories: Sequence[Trajectory], recovery: str, signatures: Mapping[str, tuple[Type, ...]]
+) -> Dataset:
+    """The default view: a failed attempt and the recovery after it are one use of the recovery skill.
+
+    The recovery then means "approach until the failure detector fires, then recover", it starts from the state in
+    which the attempt began, and no symbol is spent on failing on purpose. Failed attempts stay as labels.
+    """
+    builder = _Builder(signatures)
+    for t in trajectories:
+        builder.add(t, [(x, x.skill) for x in t.transitions], recovery)
+    return builder.dataset()
+
+
+def variant_dataset(
+    trajectories: Sequence[Trajectory], recovery: str, signatures: Mapping[str, tuple[Type, ...]]
+) -> Dataset:
+    """The published view: a failed attempt that a recovery follows is a skill of its own, `FAILED_RECOVERY`.
+
+    Only solved trajectories count, and attempts that failed for good are left out.
+    """
+    known = dict(signatures)
+    builder = _Builder(known)
+    for t in trajectories:
+        if not t.solved or t.source == "attempt":
+            continue
+        named: list[tuple[Transition, str]] = []
+        for x, following in zip(t.transitions, [*t.transitions[1:], None], strict=True):
+            if x.succeeded:
+                named.append((x, x.skill))
+            elif following is not None and following.skill == recovery and following.succeeded:
+                variant = f"{x.skill}_{recovery}"
+                known[variant] = known[x.skill]
+                named.append((Transition(x.before, variant, x.objects, x.after, True), variant))
+        builder.add(Trajectory(tuple(x for x, _ in named), t.goal, True, t.source), named, recovery)
+    return builder.dataset()
+
+
+class _Builder:
+    def __init__(self, signatures: Mapping[str, tuple[Type, ...]]) -> None:
+        self.signatures = signatures
+        self.states: list[State] = []
+        self.moments: list[list[int]] = []
+        self.runs: list[Run] = []
+
+    def add(self, t: Trajectory, transitions: Sequence[tuple[Transition, str]], recovery: str) -> None:
+        if not transitions:
+            return
+        steps: list[Step] = []
+        failures: list[Step] = []
+        first = now = self._moment(transitions[0][0].before)
+        for i, (x, skill) in enumerate(transitions):
+            if tuple(o.type for o in x.objects) != tuple(self.signatures.get(skill, ())):
+                names = ", ".join(f"{k}({', '.join(t.name for t in v)})" for k, v in sorted(self.signatures.items()))
+                raise TrainingError(f"a trajectory ({t.source}) uses {skill}{x.objects}; known skills: {names}")
+            self._seen(now, x.before)
+            if x.succeeded:
+                after = self._moment(x.after)
+                steps.append(Step(skill, x.objects, now, after))
+                now = after
+                continue
+            mended = i + 1 < len(transitions) and transitions[i + 1][1] == recovery and transitions[i + 1][0].succeeded
+            after = now if mended else self._moment(x.after)
+            failures.append(Step(skill, x.objects, now, after))
+            now = after
+        self.runs.append(Run(tuple(steps), tuple(failures), first, t.goal, t.solved, t.source, t.objects))
+
+    def _moment(self, state: State) -> int:
+        self.moments.append([])
+        self._seen(len(self.moments) - 1, state)
+        return len(self.moments) - 1
+
+    def _seen(self, moment: int, state: State) -> None:
+        if not any(self.states[i] == state for i in self.moments[moment]):
+            self.states.append(state)
+            self.moments[moment].append(len(self.states) - 1)
+
+    def dataset(self) -> Dataset:
+        if not self.runs:
+            raise TrainingError(
+                "concept learning was given no trajectory it can use", "dream more, or check the dreams"
+            )
+        return Dataset(
+            tuple(self.states), tuple(tuple(m) for m in self.moments), tuple(self.runs), dict(self.signatures)
+        )

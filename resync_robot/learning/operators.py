@@ -1,0 +1,152 @@
+"""Operators from data: what a skill's successful attempts have in common, lifted to its parameters."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+
+from resync_robot.core.symbols import Atom, Atoms, Operator, Predicate, Term, Variable
+from resync_robot.learning.dataset import Dataset, Step
+
+
+@dataclass(frozen=True, kw_only=True)
+class OperatorConfig:
+    """What counts as a precondition.
+
+    Attributes:
+        held_before: an atom over the parameters that held before this share of the matching successes.
+        excludes_failures: default view only: a learned one must also rule out more than this share of the skill's
+            failures that are not ruled out already,
+        excludes_successes: and less than this share of its successes.
+        use_failures: False for the published formulation, which has no failed attempts.
+    """
+
+    held_before: float = 0.8
+    excludes_failures: float = 0.5
+    excludes_successes: float = 0.15
+    use_failures: bool = True
+
+
+@dataclass(frozen=True)
+class Column:
+    """One lifted atom of one skill, over all attempts.
+
+    Attributes:
+        before, after: (successes,) whether it held.
+        failed: (failures,) whether it held before.
+        learned: False for a given predicate.
+    """
+
+    atom: Atom
+    before: np.ndarray
+    after: np.ndarray
+    failed: np.ndarray
+    learned: bool
+
+
+Evidence = dict[str, tuple[Column, ...]]
+"""Skill name -> the columns of one predicate."""
+
+
+def lifted_atoms(predicate: Predicate, parameters: Sequence[Variable]) -> list[Atom]:
+    """Every well-typed way to apply the predicate to distinct parameters."""
+    chosen = permutations(parameters, len(predicate.types))
+    return [predicate(*args) for args in chosen if tuple(a.type for a in args) == predicate.types]
+
+
+def evidence(
+    dataset: Dataset,
+    truth: Sequence[Atoms],
+    predicate: Predicate,
+    parameters: Mapping[str, Sequence[Variable]],
+    learned: bool,
+) -> Evidence:
+    """Columns of a predicate for every skill.
+
+    Args:
+        truth: for each moment the atoms of this predicate that hold.
+        parameters: skill name -> its variables.
+    """
+    successes: dict[str, list[Step]] = {name: [] for name in parameters}
+    failures: dict[str, list[Step]] = {name: [] for name in parameters}
+    for run in dataset.runs:
+        for step in run.steps:
+            successes[step.skill].append(step)
+        for step in run.failures:
+            failures[step.skill].append(step)
+
+    def held(steps: Sequence[Step], atom: Atom, variables: Sequence[Variable], after: bool) -> np.ndarray:
+        values = []
+        for step in steps:
+            binding: dict[Term, Term] = dict(zip(variables, step.objects, strict=True))
+            values.append(atom.substitute(binding) in truth[step.after if after else step.before])
+        return np.array(values, dtype=bool)
+
+    return {
+        skill: tuple(
+            Column(
+                atom,
+                held(successes[skill], atom, variables, False),
+                held(successes[skill], atom, variables, True),
+                held(failures[skill], atom, variables, False),
+                learned,
+            )
+            for atom in lifted_atoms(predicate, variables)
+        )
+        for skill, variables in parameters.items()
+    }
+
+
+def learn_operator(
+    name: str, parameters: tuple[Variable, ...], columns: Sequence[Column], config: OperatorConfig
+) -> Operator | None:
+    """The operator of one skill, or None where the skill never succeeded.
+
+    Effects are those of the largest cluster of successes with the same lifted effects, preconditions what held
+    before most of that cluster.
+    """
+    if not columns or not len(columns[0].before):
+        return None
+    before = np.stack([c.before for c in columns], 1)
+    after = np.stack([c.after for c in columns], 1)
+    change = after.astype(int) - before.astype(int)
+    clusters = Counter(map(bytes, change.astype(np.int8)))
+    # Ties go to the smaller pattern in byte order, so that the order of the data decides nothing.
+    common = min(clusters, key=lambda pattern: (-clusters[pattern], pattern))
+    matching = np.array([bytes(row) == common for row in change.astype(np.int8)])
+    effect = np.frombuffer(common, dtype=np.int8)
+
+    frequent = [c for c in columns if c.before[matching].mean() >= config.held_before]
+    needed = {c.atom for c in frequent if not c.learned}
+    learned = [c for c in frequent if c.learned]
+    needed |= _that_exclude_failures(learned, config) if config.use_failures else {c.atom for c in learned}
+    return Operator(
+        name,
+        parameters,
+        frozenset(needed),
+        frozenset(c.atom for c, e in zip(columns, effect, strict=True) if e > 0),
+        frozenset(c.atom for c, e in zip(columns, effect, strict=True) if e < 0),
+    )
+
+
+def _that_exclude_failures(columns: Sequence[Column], config: OperatorConfig) -> set[Atom]:
+    """Greedily the conditions that tell failures from successes; another one must still tell something new."""
+    chosen: set[Atom] = set()
+    useful = [c for c in columns if len(c.failed) and (~c.before).mean() < config.excludes_successes]
+    if not useful:
+        return chosen
+    left = np.ones(len(useful[0].failed), dtype=bool)
+    everything = len(left)
+    while left.any():
+        best = max(useful, key=lambda c: (int((left & ~c.failed).sum()), -(~c.before).mean(), str(c.atom)))
+        ruled_out = left & ~best.failed
+        # Of all failures first, then of those that remain; a handful that remain prove nothing.
+        if ruled_out.sum() <= config.excludes_failures * left.sum() or ruled_out.sum() < 0.05 * everything:
+            break
+        chosen.add(best.atom)
+        left &= best.failed
+    return chosen

@@ -1,0 +1,253 @@
+"""Which concepts to keep: hill climbing on how well planning with them explains the data (J).
+
+Default J, in per cent: how far the first plan is from each demonstration, no plan being as far as can be, plus the
+share of failed attempts that the operators still allow. Nodes are counted but buy nothing: an improvement that only
+saves nodes picks junk such as "was picked before". The published J weighs node counts over several plans.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from resync_robot.core.errors import PlanningError
+from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Variable
+from resync_robot.learning.dataset import Dataset
+from resync_robot.learning.effects import Candidate
+from resync_robot.learning.operators import Evidence, OperatorConfig, learn_operator
+from resync_robot.planning.abstract import Form, Not
+from resync_robot.planning.search import Plan, plan, plans
+
+Sequence_ = tuple[tuple[str, tuple[Object, ...]], ...]
+
+
+@dataclass(frozen=True)
+class Concept:
+    """A predicate that selection may keep: a candidate itself or a form derived from it.
+
+    Attributes:
+        truth: for each moment the atoms that hold.
+        loss: of the classifier behind it.
+    """
+
+    predicate: Predicate
+    form: Form | None
+    candidate: Candidate
+    truth: tuple[Atoms, ...]
+    evidence: Evidence
+    loss: float
+
+    @property
+    def preference(self) -> tuple[bool, int, bool, float, str]:
+        """Smaller is better, among concepts that explain equally well.
+
+        Labelled by attempts first; then effects that leave every other skill at 0, (0, +, 0) before (0, +, -): what
+        the next skill destroys again is no state of the world; then positive forms, and the better fit.
+        """
+        return (
+            self.candidate.attempts is None,
+            len(self.candidate.effects),
+            isinstance(self.form, Not),
+            round(self.loss, 3),
+            self.predicate.name,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectConfig:
+    """How J is computed.
+
+    Attributes:
+        plans: 1 for the default J, more for the published one.
+        penalty: cost of a demonstration without a plan.
+        min_gain: J must fall by more than this.
+        max_concepts: hill climbing stops there.
+    """
+
+    plans: int = 1
+    penalty: float = 100.0
+    min_gain: float = 1.0
+    max_concepts: int = 4
+    max_nodes: int = 3_000
+
+
+PAPER_J = SelectConfig(plans=8, penalty=1e5, min_gain=0.0, max_nodes=1_000)
+
+
+@dataclass(frozen=True)
+class Score:
+    """J of a set of concepts and its parts."""
+
+    j: float
+    operators: tuple[Operator, ...]
+    plan_error: float
+    failures_allowed: float
+    nodes: float
+
+
+@dataclass
+class Selection:
+    """The outcome of `select`.
+
+    Attributes:
+        curve: one entry for each round, with the concept taken.
+    """
+
+    concepts: tuple[Concept, ...]
+    score: Score
+    curve: list[dict[str, object]] = field(default_factory=list)
+
+
+class Selector:
+    """Scores sets of concepts on a data set, remembering every plan it has made.
+
+    Args:
+        given: for each moment the atoms of the given predicates that hold.
+        given_evidence: columns of the given predicates.
+        parameters: skill name -> its variables.
+        fallback: given operators, used for skills that never succeeded in the data.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        given: Sequence[Atoms],
+        given_evidence: Sequence[Evidence],
+        parameters: Mapping[str, tuple[Variable, ...]],
+        fallback: Mapping[str, Operator],
+        config: SelectConfig,
+        operator_config: OperatorConfig,
+    ) -> None:
+        self.dataset, self.given, self.given_evidence = dataset, given, given_evidence
+        self.parameters, self.fallback = parameters, fallback
+        self.config, self.operator_config = config, operator_config
+        self.demonstrations = [r for r in dataset.runs if r.solved and r.steps]
+        self.failures = [s for r in dataset.runs for s in r.failures]
+        self._scores: dict[tuple[Operator, ...], dict[tuple[object, ...], tuple[Plan, ...]]] = {}
+
+    def operators(self, concepts: Sequence[Concept]) -> tuple[Operator, ...]:
+        """Learned from the data with the given predicates and these concepts."""
+        result = []
+        for skill, variables in sorted(self.parameters.items()):
+            columns = [c for e in [*self.given_evidence, *(k.evidence for k in concepts)] for c in e[skill]]
+            learned = learn_operator(skill, variables, columns, self.operator_config) or self.fallback.get(skill)
+            if learned is not None:
+                result.append(learned)
+        return tuple(result)
+
+    def score(self, concepts: Sequence[Concept]) -> Score:
+        """J of the given predicates with these concepts."""
+        operators = self.operators(concepts)
+        costs, nodes = [], []
+        # Only atoms that a precondition asks for can change a plan: the rest would only defeat the memory.
+        asked = {a.predicate for op in operators for a in op.preconditions}
+        for run in self.demonstrations:
+            atoms = self._atoms(run.first, concepts)
+            wanted = {g.predicate for g in run.goal} | asked
+            known = frozenset(a for a in atoms if a.predicate in wanted)
+            found = self._plans(operators, run.objects, known, run.goal)
+            demonstrated = tuple((s.skill, s.objects) for s in run.steps)
+            costs.append(self._cost(found, demonstrated))
+            nodes.append(found[0].nodes_created if found else self.config.max_nodes)
+        by_name = {op.name: op for op in operators}
+        allowed = [
+            by_name[s.skill].ground(s.objects).applicable(self._atoms(s.before, concepts))
+            for s in self.failures
+            if s.skill in by_name
+        ]
+        error = float(np.mean(costs)) if costs else self.config.penalty
+        share = float(np.mean(allowed)) if allowed else 0.0
+        counts_failures = self.operator_config.use_failures
+        j = error + (self.config.penalty * share if counts_failures else 0.0)
+        return Score(j, operators, error, share, float(np.mean(nodes)) if nodes else 0.0)
+
+    def _atoms(self, moment: int, concepts: Sequence[Concept]) -> Atoms:
+        return self.given[moment].union(*(k.truth[moment] for k in concepts))
+
+    def _plans(
+        self, operators: tuple[Operator, ...], objects: tuple[Object, ...], atoms: Atoms, goal: Atoms
+    ) -> tuple[Plan, ...]:
+        memory = self._scores.setdefault(operators, {})
+        key = (objects, atoms, goal)
+        if key not in memory:
+            if self.config.plans > 1:
+                memory[key] = plans(operators, objects, atoms, goal, self.config.plans, max_nodes=self.config.max_nodes)
+            else:
+                try:
+                    memory[key] = (plan(operators, objects, atoms, goal, max_nodes=self.config.max_nodes),)
+                except PlanningError:
+                    memory[key] = ()
+        return memory[key]
+
+    def _cost(self, found: Sequence[Plan], demonstrated: Sequence_) -> float:
+        if self.config.plans > 1:
+            return _published_cost(found, demonstrated, self.config.penalty)
+        if not found:
+            return self.config.penalty
+        planned = tuple((s.name, s.objects) for s in found[0].steps)
+        longest = max(len(planned), len(demonstrated), 1)
+        return self.config.penalty * edit_distance(planned, demonstrated) / longest
+
+
+def _published_cost(found: Sequence[Plan], demonstrated: Sequence_, penalty: float) -> float:
+    """sum_k q_k p_k N_k + q_{K+1} penalty, with p_k the belief that plan k is what was demonstrated."""
+    p, q, cost = 1.0 - 1e-5, 1.0, 0.0
+    for candidate in found:
+        planned = tuple((s.name, s.objects) for s in candidate.steps)
+        p_k = p * (1.0 - p) ** edit_distance(planned, demonstrated)
+        cost += q * p_k * candidate.nodes_created
+        q *= 1.0 - p_k
+    return cost + q * penalty
+
+
+def edit_distance(a: Sequence[object], b: Sequence[object]) -> int:
+    """Steps to insert, delete or replace to turn one sequence into the other."""
+    row = list(range(len(b) + 1))
+    for i, x in enumerate(a, start=1):
+        previous, row[0] = row[0], i
+        for j, y in enumerate(b, start=1):
+            previous, row[j] = row[j], min(row[j] + 1, row[j - 1] + 1, previous + (x != y))
+    return row[-1]
+
+
+def select(
+    selector: Selector, pool: Sequence[Concept], progress: Callable[[str, float], None] = lambda what, share: None
+) -> Selection:
+    """Hill climbing: in each round add the concept that lowers J most, until none lowers it enough."""
+    config = selector.config
+    chosen: list[Concept] = []
+    best = selector.score(chosen)
+    outcome = Selection((), best, [_entry("(given)", best)])
+    while len(chosen) < config.max_concepts:
+        scored: list[tuple[Score, Concept]] = []
+        rest = [k for k in pool if k.predicate not in {c.predicate for c in chosen}]
+        for i, concept in enumerate(rest):
+            progress(f"selecting concept {len(chosen) + 1}, J = {best.j:.1f}", i / len(rest))
+            scored.append((selector.score([*chosen, concept]), concept))
+        if not scored:
+            break
+        lowest = min(s.j for s, _ in scored)
+        if lowest >= best.j - config.min_gain:
+            break
+        # Within the gain that would not count, what is preferred for other reasons wins.
+        score, concept = min(
+            ((s, k) for s, k in scored if s.j <= lowest + config.min_gain and s.j < best.j),
+            key=lambda pair: (*pair[1].preference, pair[0].j),
+        )
+        chosen.append(concept)
+        best = score
+        outcome.curve.append(_entry(concept.predicate.name, best))
+    outcome.concepts, outcome.score = tuple(chosen), best
+    return outcome
+
+
+def _entry(name: str, score: Score) -> dict[str, object]:
+    return {
+        "added": name,
+        "J": round(score.j, 3),
+        "plan_error": round(score.plan_error, 3),
+        "failures_allowed": round(score.failures_allowed, 4),
+        "nodes": round(score.nodes, 1),
+    }
