@@ -26,6 +26,15 @@ fi
 .venv/bin/python -m pip --version >/dev/null 2>&1 || { rm -rf .venv && "$python" -m venv .venv; }
 echo "Set-up: installing the packages into .venv (8 GB; minutes, by the network)"
 .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt uv
+
+# uv reads none of pip's settings, but a mirror or certificate that a site gave to pip is meant for it as well.
+setting() { .venv/bin/python -m pip config get "global.$1" 2>/dev/null || true; }
+index=${UV_DEFAULT_INDEX:-${PIP_INDEX_URL:-$(setting index-url)}}
+certificates=${SSL_CERT_FILE:-${PIP_CERT:-$(setting cert)}}
+[ -n "$certificates" ] || certificates=/etc/ssl/certs/ca-certificates.crt
+[ -z "$index" ] || export UV_DEFAULT_INDEX=$index
+[ ! -e "$certificates" ] || export SSL_CERT_FILE=$certificates
+
 uv=(.venv/bin/uv pip)
 "${uv[@]}" install --python .venv/bin/python --quiet -e '.[dev]' -c constraints.txt
 # Both OpenCV packages own the same files; where pip brought the one with windows, only the other may stay.
