@@ -260,8 +260,7 @@ class Belief:
             quat, size = _nearest_quarter_turn(quat, before.features[3:7]), before.features[7:10]
             size_sigma, scans = 0.0015, before.scans
         underside = above[2] - above[9] / 2
-        top = underside if glimpse is None else min(underside, glimpse.high)
-        features = np.array([*above[:2], top - size[2] / 2, *quat, *size])
+        features = np.array([*above[:2], underside - size[2] / 2, *quat, *size])
         covariance = np.zeros((10, 10))
         variance = np.diag(cover.covariance)[:3] + np.array([0.0015, 0.0015, 0.003]) ** 2
         covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.05**2, quat)

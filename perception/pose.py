@@ -32,6 +32,7 @@ VIEW_SIGMA = 0.0014
 VIEW_YAW_SIGMA = 0.0045
 HEIGHT_SIGMA = 0.0008
 TYPICAL_HEIGHT = 0.045
+COVERED_WITHIN = 0.040
 UPRIGHT_WITHIN = np.radians(8.0)
 """Tilt of the top face beyond which a block does not stand upright; noise alone gives 2-3 degrees."""
 
@@ -67,12 +68,10 @@ class BoxEstimate:
 
 @dataclass(frozen=True)
 class Glimpse:
-    """Some coloured points of a block whose top face is not seen. `low`, `high`: heights they span, m."""
+    """A block of which something is seen around `centre` (2,), but no top face that could be measured."""
 
     name: str
     centre: Float[np.ndarray, "2"]
-    low: float
-    high: float
 
 
 def box_outline(views: Sequence[View], catalogue: Catalogue) -> np.ndarray | None:
@@ -165,9 +164,17 @@ def estimate_blocks(
         if estimate is not None:
             found[name] = estimate
         else:
-            low, high = np.percentile(cluster[:, 2], [3, 97])
-            glimpses[name] = Glimpse(name, np.median(cluster[:, :2], axis=0), float(low), float(high))
+            glimpses[name] = Glimpse(name, np.median(cluster[:, :2], axis=0))
+    for name, block in list(found.items()):
+        # Under another block only a rim of the top face shows, or a side that looks like one: no measurement.
+        if any(_covers(other, block) for other in found.values()):
+            glimpses[name] = Glimpse(name, found.pop(name).features[:2])
     return found, glimpses
+
+
+def _covers(upper: BlockEstimate, lower: BlockEstimate) -> bool:
+    apart = float(np.hypot(*(upper.features[:2] - lower.features[:2])))
+    return upper.top_z > lower.top_z + TYPICAL_HEIGHT / 2 and apart < COVERED_WITHIN
 
 
 def _block(

@@ -1,0 +1,72 @@
+"""Pictures of a table with a box and blocks, without a renderer: rays are intersected with boxes in numpy."""
+
+from __future__ import annotations
+
+import colorsys
+
+import numpy as np
+
+from perception.catalogue import Catalogue
+from perception.scan import Scan
+from resync_robot.core import kinematics, spatial
+from resync_robot.core.rig import Rig
+from resync_robot.core.world import CameraFrame
+
+GREY, WOOD = (90, 95, 100), (225, 215, 200)
+CENTRE = (0.48, 0.0)
+INNER, RIM, FLOOR, THICKNESS = 0.30, 0.11, 0.005, 0.03
+
+
+def cuboid_hits(origin: np.ndarray, rays: np.ndarray, centre: np.ndarray, half: np.ndarray, yaw: float) -> np.ndarray:
+    """(n,) distance along each ray to an upright cuboid, inf where it misses."""
+    turn = spatial.rotation_about("z", yaw)
+    o, d = (origin - centre) @ turn, rays @ turn
+    with np.errstate(divide="ignore", invalid="ignore"):
+        near, far = np.sort(np.stack([(-half - o) / d, (half - o) / d]), axis=0)
+    enter, leave = near.max(axis=-1), far.min(axis=-1)
+    return np.where((enter <= leave) & (enter > 0), enter, np.inf)
+
+
+class Table:
+    """Cuboids on a table, seen by the wrist camera."""
+
+    def __init__(self, rig: Rig, catalogue: Catalogue, box: bool = True) -> None:
+        self._rig, self._catalogue = rig, catalogue
+        self._cuboids: list[tuple[np.ndarray, np.ndarray, float, tuple[int, int, int]]] = []
+        if box:
+            outer = INNER / 2 + THICKNESS
+            self._add((*CENTRE, FLOOR / 2), (INNER / 2, INNER / 2, FLOOR / 2), 0.0, GREY)
+            for s in (-1, 1):
+                middle = s * (INNER / 2 + THICKNESS / 2)
+                self._add((CENTRE[0] + middle, CENTRE[1], RIM / 2), (THICKNESS / 2, outer, RIM / 2), 0.0, GREY)
+                self._add((CENTRE[0], CENTRE[1] + middle, RIM / 2), (outer, THICKNESS / 2, RIM / 2), 0.0, GREY)
+
+    def _add(self, centre: tuple, half: tuple, yaw: float, colour: tuple[int, int, int]) -> None:
+        self._cuboids.append((np.array(centre), np.array(half), yaw, colour))
+
+    def block(self, name: str, x: float, y: float, bottom: float, yaw: float, width: float, height: float) -> None:
+        red, green, blue = (int(255 * c) for c in colorsys.hsv_to_rgb(self._catalogue.hues[name], 0.85, 0.8))
+        self._add((x, y, bottom + height / 2), (width / 2, width / 2, height / 2), yaw, (red, green, blue))
+        self._add((x, y, bottom + height + 0.006), (0.012, 0.012, 0.006), yaw, (red, green, blue))
+
+    def picture(self, q: np.ndarray) -> CameraFrame:
+        camera = self._rig.camera("wrist")
+        k = camera.intrinsics
+        pose = self._rig.arm.world_T_base @ kinematics.forward(q) @ camera.pose
+        u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
+        rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], -1).reshape(-1, 3)
+        world_rays, origin = rays @ pose[:3, :3].T, pose[:3, 3]
+        depth = -origin[2] / world_rays[:, 2]
+        colour = np.tile(np.array(WOOD, np.uint8), (len(rays), 1))
+        for centre, half, yaw, paint in self._cuboids:
+            hit = cuboid_hits(origin, world_rays, centre, half, yaw)
+            nearer = hit < depth
+            depth = np.where(nearer, hit, depth)
+            colour[nearer] = paint
+        shape = (camera.height, camera.width)
+        tenths = np.clip(depth.reshape(shape) / CameraFrame.DEPTH_UNIT_M + 0.5, 0, 65535).astype(np.uint16)
+        return CameraFrame("wrist", colour.reshape(*shape, 3), tenths, k, pose, 0.0)
+
+    def scan(self) -> list[CameraFrame]:
+        at: list[np.ndarray] = []
+        return Scan(self._rig)(at.append, lambda: self.picture(at[-1]))

@@ -1,0 +1,147 @@
+"""Estimates from ray-cast pictures: exact depth and colour, so the errors are those of the method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from perception.catalogue import Catalogue
+from perception.objects import SceneEstimate, SceneEstimator
+from resync_robot.core import spatial
+from resync_robot.core.errors import PerceptionError
+from resync_robot.core.rig import Rig
+from resync_robot.core.world import CameraFrame
+from tests.perception.raycast import CENTRE, FLOOR, INNER, RIM, Table
+
+BLOCKS = {
+    "b0": (CENTRE[0] + 0.118, CENTRE[1] - 0.118, FLOOR, 0.01, 0.060, 0.045),
+    "b1": (CENTRE[0] - 0.03, CENTRE[1] + 0.02, FLOOR, 0.6, 0.054, 0.041),
+    "b2": (0.44, 0.30, 0.0, -0.4, 0.065, 0.049),
+}
+
+
+@pytest.fixture(scope="module")
+def frames(rig: Rig, catalogue: Catalogue) -> list[CameraFrame]:
+    table = Table(rig, catalogue)
+    for name, place in BLOCKS.items():
+        table.block(name, *place)
+    return table.scan()
+
+
+@pytest.fixture(scope="module")
+def scene(rig: Rig, frames: list[CameraFrame]) -> SceneEstimate:
+    return SceneEstimator(rig).estimate(frames)
+
+
+def test_the_box_is_measured(scene: SceneEstimate) -> None:
+    box = scene.box.features
+    assert box[:3] == pytest.approx([*CENTRE, FLOOR], abs=0.0007)
+    assert abs(float(spatial.yaw_of(box[3:7]))) < np.radians(0.2)
+    assert box[7:9] == pytest.approx([INNER, INNER], abs=0.002)
+    assert box[9] == pytest.approx(RIM - FLOOR, abs=0.0005)
+
+
+@pytest.mark.parametrize("name", sorted(BLOCKS))
+def test_blocks_are_measured_and_nothing_else_is_seen(scene: SceneEstimate, name: str) -> None:
+    x, y, bottom, yaw, width, height = BLOCKS[name]
+    block = scene.blocks[name]
+    assert set(scene.blocks) == set(BLOCKS)
+    assert block.features[:3] == pytest.approx([x, y, bottom + height / 2], abs=0.001)
+    assert abs(spatial.wrap(float(spatial.yaw_of(block.features[3:7])) - yaw, np.pi / 2)) < np.radians(0.6)
+    assert block.features[7:] == pytest.approx([width, width, height], abs=0.0012)
+    assert block.upright
+    assert not block.stacked
+
+
+def test_covariances_are_covariances(scene: SceneEstimate) -> None:
+    for matrix in (scene.box.covariance, *(b.covariance for b in scene.blocks.values())):
+        assert np.allclose(matrix, matrix.T)
+        assert np.linalg.eigvalsh(matrix).min() > -1e-12
+        assert 2e-4 < np.sqrt(matrix[0, 0]) < 3e-3
+
+
+def test_tilt_and_height_of_a_wrong_camera_pose_are_corrected(rig: Rig, frames: list[CameraFrame]) -> None:
+    tilted = []
+    for i, frame in enumerate(frames):
+        error = spatial.transform(spatial.rotation_about("xy"[i % 2], 0.01 * (-1) ** (i // 2)), np.array([0, 0, 0.004]))
+        tilted.append(replace(frame, world_T_cam=frame.world_T_cam @ error))
+    found = SceneEstimator(rig).estimate(tilted)
+    for name, (x, y, bottom, _, _, height) in BLOCKS.items():
+        assert found.blocks[name].features[2] == pytest.approx(bottom + height / 2, abs=0.0015)
+        assert found.blocks[name].features[:2] == pytest.approx([x, y], abs=0.003)
+
+
+def test_a_tower_hides_its_lower_block(rig: Rig, catalogue: Catalogue) -> None:
+    table = Table(rig, catalogue)
+    table.block("b0", 0.47, 0.03, FLOOR, 0.2, 0.060, 0.045)
+    table.block("b1", 0.47, 0.03, FLOOR + 0.045, 0.2, 0.056, 0.043)
+    found = SceneEstimator(rig).estimate(table.scan())
+    assert set(found.blocks) == {"b1"}
+    assert found.blocks["b1"].stacked
+    assert found.blocks["b1"].features[2] == pytest.approx(FLOOR + 0.045 + 0.0215, abs=0.002)
+    assert found.glimpses["b0"].centre == pytest.approx([0.47, 0.03], abs=0.04)
+
+
+def test_a_block_in_the_hand_is_not_taken_for_one_on_the_table(rig: Rig, catalogue: Catalogue) -> None:
+    from perception.scan import Scan
+    from resync_robot.core import kinematics
+
+    scan, frames = Scan(rig), []
+    for q in scan.configurations:
+        tip = rig.arm.world_T_base @ kinematics.forward(q) @ rig.gripper.flange_T_tip
+        table = Table(rig, catalogue)
+        table.block("b1", 0.47, 0.03, FLOOR, 0.2, 0.056, 0.043)
+        table.block("b0", tip[0, 3], tip[1, 3], tip[2, 3] - 0.02, 0.0, 0.060, 0.045)
+        frames.append(table.picture(q))
+    found = SceneEstimator(rig).estimate(frames)
+    assert set(found.blocks) == {"b1"}
+    assert found.blocks["b1"].features[:2] == pytest.approx([0.47, 0.03], abs=0.001)
+
+
+def spoil(frame: CameraFrame, **changes: np.ndarray) -> CameraFrame:
+    return replace(frame, **changes)
+
+
+BAD: dict[str, tuple[Callable[[CameraFrame], CameraFrame], str]] = {
+    "all depth invalid": (lambda f: spoil(f, depth=np.zeros_like(f.depth)), "check the depth stream"),
+    "empty depth": (lambda f: spoil(f, depth=np.zeros((0, 0), np.uint16)), "alignment"),
+    "depth not aligned": (lambda f: spoil(f, depth=f.depth[::2, ::2]), "alignment"),
+    "depth in mm": (lambda f: spoil(f, depth=(f.depth // 10).astype(np.uint16)), r"\* 10"),
+    "depth in m": (lambda f: spoil(f, depth=(f.depth * 1e-4).astype(np.float32)), r"\* 10000"),
+    "depth all saturated": (lambda f: spoil(f, depth=np.full_like(f.depth, 65535)), "1e-4 m"),
+    "black picture": (lambda f: spoil(f, colour=np.zeros_like(f.colour)), "lens"),
+    "camera pose wrong": (lambda f: spoil(f, world_T_cam=spatial.transform(None, np.array([0, 0, 5.0]))), "rig.toml"),
+}
+
+
+@pytest.mark.parametrize("what", sorted(BAD))
+def test_a_picture_that_cannot_be_used_is_refused_with_what_to_do(
+    rig: Rig, frames: list[CameraFrame], what: str
+) -> None:
+    spoiler, advice = BAD[what]
+    with pytest.raises(PerceptionError, match=advice):
+        SceneEstimator(rig).estimate([spoiler(frames[0]), *frames[1:]])
+
+
+def test_no_box_and_no_pictures(rig: Rig, catalogue: Catalogue) -> None:
+    with pytest.raises(PerceptionError, match="no box is seen"):
+        SceneEstimator(rig).estimate(Table(rig, catalogue, box=False).scan())
+    with pytest.raises(PerceptionError, match="without pictures"):
+        SceneEstimator(rig).estimate([])
+
+
+def test_noise_instead_of_pictures_crashes_nothing(rig: Rig, frames: list[CameraFrame]) -> None:
+    rng = np.random.default_rng(0)
+    noise = [
+        spoil(
+            f,
+            colour=rng.integers(0, 256, f.colour.shape, dtype=np.uint8),
+            depth=rng.integers(0, 65536, f.depth.shape, dtype=np.uint16),
+        )
+        for f in frames
+    ]
+    with pytest.raises(PerceptionError):
+        SceneEstimator(rig).estimate(noise)
