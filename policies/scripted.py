@@ -6,7 +6,6 @@ know what a corner is: where no yaw clears the walls it tries the best one, and 
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np

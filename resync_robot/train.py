@@ -1,12 +1,20 @@
-"""Training in simulation: mine failures, learn the recovery, dream, discover concepts, save the library."""
+"""Training in simulation, stage by stage: mine failures, learn the recovery, dream, discover concepts, save."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from resync_robot.core.errors import ResyncError
+from resync_robot.core.errors import ConfigError, TrainingError
+
+if TYPE_CHECKING:
+    from resync_robot.core.library import Record
+    from resync_robot.core.task import Domain
+    from resync_robot.learning.failures import PairGaussian
+    from resync_robot.learning.model import Concepts
+    from resync_robot.run_folder import RunFolder
+    from resync_robot.stages import Mined
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,8 +24,8 @@ class TrainConfig:
     domain: str = "cornered-insertion-s"
     """The domain to train in."""
 
-    preset: Literal["quick", "full"] = "quick"
-    """How much to train: quick fits two cores in half an hour, full is for a workstation."""
+    preset: Literal["smoke", "quick", "full"] = "quick"
+    """How much to train: quick fits two cores in half an hour, full is for a workstation, smoke only tests the way."""
 
     seed: int = 0
     """Seed of every random draw. The same seed gives the same library on one machine."""
@@ -42,9 +50,177 @@ class TrainConfig:
 
 
 def train(config: TrainConfig) -> None:
-    """Run every phase of `config` and write the run folder.
+    """Run every stage of `config` that its run folder does not hold yet, and save the library.
 
     Raises:
-        ResyncError: bad input, or a phase that cannot produce what the next one needs.
+        ResyncError: bad input, or a stage that cannot produce what the next one needs.
     """
-    raise ResyncError("not built yet")
+    from resync_robot import run_folder
+    from sim_training.domains import find_domain
+
+    domain = find_domain(config.domain)
+    if config.resume:
+        path = config.out or run_folder.latest_folder(config.domain)
+        config = _resumed(path, config)
+    else:
+        path = config.out or run_folder.default_folder(config.domain)
+        if (path / "config.json").exists():
+            raise ConfigError(f"{path} already holds a run", "add --resume to go on with it, or give another --out")
+    _check_device(config)
+    folder = run_folder.RunFolder(path)
+    run_folder.write_json(path / "config.json", _settings(config))
+    _quiet_threads()
+    _run(config, domain, folder)
+
+
+SHAPING = ("domain", "preset", "seed", "concepts", "device")
+"""Settings that decide the outcome; a resumed run keeps those it began with."""
+
+
+def _settings(config: TrainConfig) -> dict[str, Any]:
+    from resync_robot.run_folder import git_hash
+
+    return {name: getattr(config, name) for name in SHAPING} | {"git": git_hash()}
+
+
+def _resumed(path: Path, config: TrainConfig) -> TrainConfig:
+    from dataclasses import replace
+
+    from resync_robot.run_folder import read_json
+
+    saved = read_json(path / "config.json")
+    if saved is None:
+        raise ConfigError(f"{path} holds no run to resume", "start one without --resume")
+    return replace(config, **{name: saved[name] for name in SHAPING}, out=path)
+
+
+def _check_device(config: TrainConfig) -> None:
+    if config.device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise ConfigError(
+                "--device cuda: no CUDA device is visible", "use --device cpu, or see resync-robot doctor"
+            )
+
+
+def _quiet_threads() -> None:
+    """One thread a process: the scenes are the parallelism."""
+    import os
+
+    import torch
+
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    torch.set_num_threads(1)
+
+
+def _run(config: TrainConfig, domain: Domain, folder: RunFolder) -> None:
+    from resync_robot import stages
+    from resync_robot.core.rig import load_rig
+    from resync_robot.learning.concepts import learn_concepts
+    from resync_robot.progress import Stages
+
+    preset = stages.PRESETS[config.preset]
+    w, seed = config.workers, config.seed
+    with Stages(("mine", "recover", "check", "dream", "concepts", "save")) as bars:
+        with folder.timed("mine"), bars.stage("mine") as progress:
+            mined = stages.mine(domain, folder, preset, seed, w, progress)
+        with folder.timed("recovery"), bars.stage("recover") as progress:
+            record, after = stages.learn_recovery(domain, folder, preset, mined, seed, w, progress)
+        with folder.timed("check"), bars.stage("check") as progress:
+            if "worlds" not in folder.metrics.get("check", {}):
+                first = seed * stages.TRAINING_SEEDS + 400_000
+                folder.record(
+                    "check", stages.check_recovery(domain, mined, record, first, preset.proxy_checks, w, progress)
+                )
+        gaussians = {"before": mined.before, "after": after}
+        with folder.timed("dream"), bars.stage("dream") as progress:
+            trajectories = stages.dream_all(domain, folder, preset, record, gaussians, seed, w, progress)
+        with folder.timed("concepts"), bars.stage("concepts") as progress:
+            types = (domain.operators[0].parameters[0].type, mined.relevant.type, mined.culprit.failure_object.type)
+            concepts = learn_concepts(
+                trajectories,
+                domain,
+                domain.recovery,
+                types,
+                mined.culprit.skill,
+                config.concepts,
+                seed,
+                lambda what, share: progress(share, what),
+            )
+            if not any(o.name == domain.recovery for o in concepts.operators):
+                raise TrainingError(
+                    f"no operator was learned for {domain.recovery}", "train with more dreams: --preset full"
+                )
+        with folder.timed("save"), bars.stage("save"):
+            _save(config, domain, folder, load_rig().hash, mined, record, gaussians, concepts)
+    _report(domain, folder, concepts)
+
+
+def _save(
+    config: TrainConfig,
+    domain: Domain,
+    folder: RunFolder,
+    rig_hash: str,
+    mined: Mined,
+    record: Record,
+    gaussians: dict[str, PairGaussian],
+    concepts: Concepts,
+) -> None:
+    from importlib.metadata import version
+
+    from resync_robot import __version__
+    from resync_robot.core.library import Library, save_library
+    from resync_robot.planning.pddl import domain_to_pddl
+    from resync_robot.plots import draw_learning_curve
+
+    metrics = folder.metrics
+    folder.record("concepts", {"report": concepts.report})
+    library = Library(
+        domain=domain.name,
+        rig_hash=rig_hash,
+        domain_pddl=domain_to_pddl(domain.name, domain.types, concepts.predicates, concepts.operators),
+        predicates=concepts.records,
+        skills={domain.recovery: record},
+        gaussians={name: g.to_json() for name, g in gaussians.items()},
+        provenance={
+            **_settings(config),
+            "version": __version__,
+            "packages": {p: version(p) for p in ("torch", "sapien", "numpy", "pyperplan")},
+            "failure": {
+                "skill": mined.culprit.skill,
+                "object": mined.culprit.failure_object.name,
+                "relevant": mined.relevant.name,
+            },
+            "affordance_of": concepts.report.get("affordance_of", {}),
+            "figures": {s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
+        },
+    )
+    save_library(library, folder.library)
+    folder.record("save", {"content_hash": library.content_hash})
+    draw_learning_curve(metrics["recovery"]["curve"], folder.path / "recovery.png")
+
+
+def _report(domain: Domain, folder: RunFolder, concepts: Concepts) -> None:
+    from resync_robot.planning.pddl import operator_to_pddl
+    from resync_robot.progress import say
+
+    m = folder.metrics
+    given = {o.name: o for o in domain.operators}
+    say(f"\nFailure: {m['mine']['failed']} of {m['mine']['tasks']} tasks failed; mined {m['mine']['kept']} more.")
+    check = m["check"]
+    say(
+        f"Recovery: learned in {m['recovery']['steps'] / 1000:.0f} k control steps; followed by a real pick in "
+        f"{check['picked']} of {check['worlds']} fresh worlds."
+    )
+    learned = [p for p in concepts.predicates if p.name not in {q.name for q in domain.predicates}]
+    say(
+        "Discovered predicates: "
+        + (", ".join(f"{p.name}({', '.join(t.name for t in p.types)})" for p in learned) or "none")
+    )
+    say("Operators (those marked * are new or differ from the given model):")
+    for operator in concepts.operators:
+        mark = "  " if given.get(operator.name) == operator else "* "
+        say("\n".join(mark + line for line in operator_to_pddl(operator).splitlines()))
+    total = sum(v.get("seconds", 0.0) for v in m.values() if isinstance(v, dict))
+    say(f"Library: {folder.library} ({total / 60:.1f} min)")

@@ -59,7 +59,7 @@ def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
     cameras = {c.name: _add_camera(scene, c, robot) for c in rig.cameras} if rendered else {}
     if rendered:
         _add_lights(scene, physics)
-    return BuiltScene(scene, robot, bodies, cameras)
+    return BuiltScene(scene, robot, bodies, cameras, float(physics.get("gain", 1.0)))
 
 
 class BuiltScene:
@@ -71,7 +71,9 @@ class BuiltScene:
         robot: physx.PhysxArticulation,
         bodies: Mapping[Object, sapien.Entity],
         cameras: Mapping[str, render.RenderCameraComponent],
+        gain: float,
     ) -> None:
+        self.stiffness, self.damping = STIFFNESS * gain, DAMPING * gain
         self.scene, self.robot, self.bodies, self.cameras = scene, robot, dict(bodies), dict(cameras)
         joints = {j.name: j for j in robot.active_joints}
         self.arm_joints = [joints[n] for n in ARM_JOINTS]
@@ -82,6 +84,7 @@ class BuiltScene:
         links = {link.name: link for link in robot.links}
         self.flange = links["flange"]
         self.hand = {links[n] for n in ("flange", "left_finger", "right_finger")}
+        self.set_torque_limits(TORQUE)
         self.rigid = {
             obj: entity.find_component_by_type(physx.PhysxRigidDynamicComponent) for obj, entity in self.bodies.items()
         }
@@ -89,7 +92,7 @@ class BuiltScene:
     def set_torque_limits(self, torque: tuple[float, ...]) -> None:
         """(6,) N m; a learned skill runs with lower ones than a scripted one."""
         for joint, limit in zip(self.arm_joints, torque, strict=True):
-            joint.set_drive_properties(STIFFNESS, DAMPING, limit)
+            joint.set_drive_properties(self.stiffness, self.damping, limit)
 
     def set_configuration(self, q: np.ndarray, opening: float) -> None:
         """Put the robot somewhere at rest, drive targets included."""
@@ -142,10 +145,8 @@ def _add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], render
             # A shared bit in the third word: the robot's own links do not collide with each other.
             shape.set_collision_groups([1, 1, 1, 0])
     robot.set_solver_position_iterations(_SOLVER_ITERATIONS)
-    gain = float(physics.get("gain", 1.0))
     joints = {j.name: j for j in robot.active_joints}
-    for name, torque in zip(ARM_JOINTS, TORQUE, strict=True):
-        joints[name].set_drive_properties(STIFFNESS * gain, DAMPING * gain, torque)
+    for name in ARM_JOINTS:
         joints[name].set_armature([0.02])
     for name in FINGER_JOINTS:
         joints[name].set_drive_properties(FINGER_STIFFNESS, FINGER_DAMPING, rig.gripper.max_force)

@@ -18,9 +18,7 @@ from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.core.world import CameraFrame, Observation
 from sim_training.scene import (
-    DAMPING,
     PERIOD,
-    STIFFNESS,
     TORQUE,
     BuiltScene,
     build_scene,
@@ -57,7 +55,6 @@ class SimWorld:
         self.time = 0.0
         self.robot_object = next(o for o in task.objects if o.type == ROBOT)
         self._blocks = [o for o in task.objects if o.type == BLOCK]
-        self._gain = float(task.physics.get("gain", 1.0))
         self._torque = np.asarray(TORQUE)
         self._world_T_base = rig.arm.world_T_base
         self._flange_T_tip = rig.gripper.flange_T_tip
@@ -69,9 +66,9 @@ class SimWorld:
         """Call `hook` after every physics step (contact monitors, video)."""
         self._hooks.append(hook)
 
-    def limit_torque(self, torque: tuple[float, ...] | None) -> None:
+    def limit_effort(self, limit: tuple[float, ...] | None) -> None:
         """(6,) N m for the arm, or None for the arm's own limits."""
-        self._torque = np.asarray(torque if torque is not None else TORQUE)
+        self._torque = np.asarray(limit if limit is not None else TORQUE)
         self.built.set_torque_limits(tuple(self._torque))
 
     def drive(self, q: np.ndarray, opening: float) -> None:
@@ -101,7 +98,7 @@ class SimWorld:
         q, qd = qpos[self.built.arm_index], qvel[self.built.arm_index]
         return q, qd, float(qpos[self.built.finger_index].sum()), self._tip_force(q, qd)
 
-    def observe(self) -> Observation:
+    def observe(self, live: bool = False) -> Observation:
         q, qd, opening, force = self.measure()
         return Observation(self.time, q, qd, opening, force, self.state(q, opening))
 
@@ -172,7 +169,7 @@ class SimWorld:
 
     def _tip_force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """From the joint drives' own efforts, as a real arm estimates it from its motor currents."""
-        effort = STIFFNESS * self._gain * (self._target.arm - q) - DAMPING * self._gain * qd
+        effort = self.built.stiffness * (self._target.arm - q) - self.built.damping * qd
         effort = np.clip(effort, -self._torque, self._torque)
         jacobian = tip_jacobian(self.rig, q)
         wrench, *_ = np.linalg.lstsq(jacobian.T, -effort, rcond=1e-3)

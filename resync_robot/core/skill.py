@@ -55,6 +55,8 @@ class Skill:
         start: called with the ground objects and the first observation, returns a fresh policy.
         rate_hz: how often `step` wants to be called.
         time_limit_s: after this the executive stops it with TIMEOUT.
+        live_state: the skill follows the objects while it runs, and so needs their poses at every step.
+        effort_limit: (6,) N m that the arm may use while it runs, or None for the arm's own limits.
     """
 
     name: str
@@ -62,6 +64,8 @@ class Skill:
     start: Callable[[tuple[Object, ...], Observation], Policy] = field(repr=False, compare=False)
     rate_hz: float
     time_limit_s: float
+    live_state: bool = False
+    effort_limit: tuple[float, ...] | None = None
 
     def ground(self, objects: tuple[Object, ...]) -> GroundSkill:
         if tuple(o.type for o in objects) != self.types:

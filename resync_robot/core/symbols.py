@@ -21,6 +21,10 @@ class Type:
     def __call__(self, name: str) -> Object:
         return Object(name, self)
 
+    def __hash__(self) -> int:
+        # Atoms are hashed by the million in learning and planning; the names of features would be most of that work.
+        return hash(self.name)
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class Object:
@@ -28,6 +32,9 @@ class Object:
 
     name: str
     type: Type
+
+    def __hash__(self) -> int:
+        return hash(self.name)
 
     def __str__(self) -> str:
         return self.name

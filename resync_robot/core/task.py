@@ -41,6 +41,11 @@ class Domain:
 
     Attributes:
         classifiers: predicate name -> function of (state, objects) -> probability that it holds.
+        recovery: name of the skill to be learned.
+        relocate: (task, object, relative pose, rng) -> the task with that object and the failure object in the
+            relative pose; how failure mining and dreaming resample states.
+        dream: (rng, seed, how many objects of the relevant type) -> a task in which all of them begin free.
+        practice: (rng, seed) -> a task with one object somewhere between trapped and free.
     """
 
     name: str
@@ -49,6 +54,10 @@ class Domain:
     classifiers: Mapping[str, Callable[[State, tuple[Object, ...]], float]]
     operators: tuple[Operator, ...]
     scenarios: Mapping[str, Scenario]
+    recovery: str
+    relocate: Callable[[Task, Object, tuple[float, float, float], np.random.Generator], Task]
+    dream: Callable[[np.random.Generator, int, int], Task]
+    practice: Callable[[np.random.Generator, int], Task]
 
     def predicate(self, name: str) -> Predicate:
         for p in self.predicates:

@@ -61,8 +61,12 @@ class Observation:
 class World(Protocol):
     """A robot among objects."""
 
-    def observe(self) -> Observation:
-        """The latest measurements; never moves the robot."""
+    def observe(self, live: bool = False) -> Observation:
+        """The latest measurements; never moves the robot.
+
+        Args:
+            live: ask for the objects' poses as they are now, not as they were last perceived.
+        """
         ...
 
     def act(self, target: JointTarget, duration: float) -> None:
@@ -71,6 +75,10 @@ class World(Protocol):
 
     def perceive(self) -> State:
         """A fresh, full estimate of the scene; may move the robot to look around."""
+        ...
+
+    def limit_effort(self, limit: tuple[float, ...] | None) -> None:
+        """Cap the arm's joint torques at (6,) N m; None restores its own limits."""
         ...
 
 

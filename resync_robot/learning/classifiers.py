@@ -72,9 +72,8 @@ class NeuralClassifier:
             if key not in record.tensors:
                 raise LibraryError(f"the classifier of {name} has no tensor '{key}'", RETRAIN)
             array = record.tensors[key]
-            if array.ndim != len(shape) or any(
-                s is not None and s != a for s, a in zip(shape, array.shape, strict=True)
-            ):
+            fits = array.ndim == len(shape) and all(s in (None, a) for s, a in zip(shape, array.shape, strict=True))
+            if not fits:
                 raise LibraryError(f"tensor '{key}' of {name} has shape {array.shape}, expected {shape}", RETRAIN)
             if not np.all(np.isfinite(array)):
                 raise LibraryError(f"tensor '{key}' of {name} holds numbers that are not finite", RETRAIN)

@@ -12,19 +12,18 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from resync_robot.core.errors import TrainingError, UnknownNameError
-from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Type, Variable
-from resync_robot.core.task import Domain
+from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Type, Variable, distinct_products
 from resync_robot.core.trajectory import Trajectory
 from resync_robot.learning.classifiers import NeuralClassifier
 from resync_robot.learning.dataset import Dataset, merged_dataset, variant_dataset
 from resync_robot.learning.effects import Candidate, affordances, candidates, supervise
 from resync_robot.learning.features import gather
 from resync_robot.learning.fit import PAPER, SCREENING, Fit, FitConfig, fit
-from resync_robot.learning.model import Concepts, assemble, quantifications
+from resync_robot.learning.model import Concepts, GivenModel, assemble, quantifications
 from resync_robot.learning.operators import OperatorConfig, evidence
 from resync_robot.learning.select import PAPER_J, Concept, SelectConfig, Selector, select
 from resync_robot.planning.abstract import HOLDS, Abstraction, Form, Not
@@ -52,8 +51,8 @@ class ConceptConfig:
     min_accuracy: float = 0.85
     max_screening_loss: float = 0.25
     max_screening_loss_attempts: float = 0.45
-    operators: OperatorConfig = OperatorConfig()
-    select: SelectConfig = SelectConfig()
+    operators: OperatorConfig = field(default_factory=OperatorConfig)
+    select: SelectConfig = field(default_factory=SelectConfig)
 
     @staticmethod
     def of(mode: str) -> ConceptConfig:
@@ -67,7 +66,7 @@ class ConceptConfig:
 
 def learn_concepts(
     trajectories: Sequence[Trajectory],
-    given: Domain,
+    given: GivenModel,
     recovery: str,
     recovery_types: Sequence[Type],
     failed_skill: str,
@@ -110,7 +109,7 @@ def learn_concepts(
     judge = Abstraction(given.predicates, given.classifiers)
     truth = [judge.true_atoms(dataset.state_at(m)) for m in range(len(dataset.moments))]
     columns = [evidence(dataset, truth, p, parameters, learned=False) for p in judge.predicates]
-    pool = _pool(dataset, kept, parameters)
+    pool = _pool(dataset, judge.predicates, truth, kept, parameters)
     selector = Selector(
         dataset, truth, columns, parameters, {op.name: op for op in given.operators}, config.select, config.operators
     )
@@ -126,7 +125,7 @@ def learn_concepts(
         "variants": {s: failed_skill for s in dataset.signatures if s not in signatures},
         "seconds": round(time.perf_counter() - start, 2),
     }
-    return assemble(given, selection, selector, pool, {c.name: f for c, f in kept}, report)
+    return assemble(given, selection, pool, report)
 
 
 def _skill_after(dataset: Dataset, recovery: str) -> str:
@@ -193,17 +192,18 @@ def forms_of(base: Predicate) -> list[Form]:
 
 
 def _pool(
-    dataset: Dataset, kept: Sequence[tuple[Candidate, Fit]], parameters: Mapping[str, tuple[Variable, ...]]
+    dataset: Dataset,
+    given: Sequence[Predicate],
+    given_truth: Sequence[Atoms],
+    kept: Sequence[tuple[Candidate, Fit]],
+    parameters: Mapping[str, tuple[Variable, ...]],
 ) -> list[Concept]:
-    """Every kept candidate and its forms, without those that are true of the same things at the same moments."""
+    """Forms of given predicates, every kept candidate and its forms; of those that always agree the first one only."""
     pool: list[Concept] = []
     seen: set[tuple[tuple[Type, ...], tuple[frozenset[tuple[Object, ...]], ...]]] = set()
-    # The preferred ones first, so that they are the ones that stay.
-    for candidate, result in sorted(
-        kept, key=lambda pair: (pair[0].attempts is None, len(pair[0].effects), pair[1].loss)
-    ):
-        base = Predicate(candidate.name, candidate.types)
-        tables: dict[str, list[Table]] = {base.name: probabilities(result.classifier, dataset)}
+
+    def add(base: Predicate, table: list[Table], candidate: Candidate | None, fitted: Fit | None) -> None:
+        tables = {base.name: table}
         members: list[tuple[Predicate, Form | None]] = [(base, None), *((f.predicate, f) for f in forms_of(base))]
         for predicate, form in members:
             if form is not None:
@@ -212,16 +212,27 @@ def _pool(
             if (predicate.types, held) in seen:
                 continue
             seen.add((predicate.types, held))
+            if form is None and candidate is None:
+                continue
             truth: tuple[Atoms, ...] = tuple(frozenset(predicate(*args) for args in h) for h in held)
             columns = evidence(dataset, truth, predicate, parameters, learned=True)
-            pool.append(Concept(predicate, form, candidate, truth, columns, result.loss))
+            pool.append(Concept(predicate, form, base, candidate, fitted, truth, columns))
+
+    for predicate in sorted(given):
+        keys = [_groundings(predicate.types, dataset, m) for m in range(len(dataset.moments))]
+        pairs = zip(keys, given_truth, strict=True)
+        add(predicate, [{args: float(predicate(*args) in true) for args in k} for k, true in pairs], None, None)
+    # The preferred ones first, so that they are the ones that stay.
+    ranked = sorted(kept, key=lambda pair: (pair[0].attempts is None, len(pair[0].effects), pair[1].loss))
+    for candidate, result in ranked:
+        base = Predicate(candidate.name, candidate.types)
+        add(base, probabilities(result.classifier, dataset), candidate, result)
     return pool
 
 
 def probabilities(classifier: NeuralClassifier, dataset: Dataset) -> list[Table]:
     """For each moment the probability of every grounding, in one forward pass."""
-    atoms = Predicate("any", classifier.types)
-    keys = [(m, a.args) for m in range(len(dataset.moments)) for a in atoms.groundings(dataset.state_at(m))]
+    keys = [(m, args) for m in range(len(dataset.moments)) for args in _groundings(classifier.types, dataset, m)]
     rows = gather([dataset.state_at(m) for m, _ in keys], [args for _, args in keys])
     tables: list[Table] = [{} for _ in dataset.moments]
     for (m, args), p in zip(keys, classifier.probabilities(rows), strict=True):
@@ -232,8 +243,13 @@ def probabilities(classifier: NeuralClassifier, dataset: Dataset) -> list[Table]
 def _derive(form: Form, predicate: Predicate, base: Sequence[Table], dataset: Dataset) -> list[Table]:
     result = []
     for m, table in enumerate(base):
-        groups: dict[tuple[Object, ...], list[float]] = {a.args: [] for a in predicate.groundings(dataset.state_at(m))}
+        groups: dict[tuple[Object, ...], list[float]] = {a: [] for a in _groundings(predicate.types, dataset, m)}
         for args, p in table.items():
             groups[form.keeps(args)].append(p)
         result.append({args: form.combine(values) for args, values in groups.items()})
     return result
+
+
+def _groundings(types: Sequence[Type], dataset: Dataset, moment: int) -> list[tuple[Object, ...]]:
+    objects = dataset.state_at(moment).objects
+    return distinct_products([[o for o in objects if o.type == t] for t in types])

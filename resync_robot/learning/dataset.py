@@ -14,6 +14,9 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object, Type
 from resync_robot.core.trajectory import Trajectory, Transition
 
+ATTEMPT = "attempt"
+"""Source of trajectories that try one skill and aim at nothing."""
+
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -86,7 +89,7 @@ def variant_dataset(
     known = dict(signatures)
     builder = _Builder(known)
     for t in trajectories:
-        if not t.solved or t.source == "attempt":
+        if not t.solved or t.source == ATTEMPT:
             continue
         named: list[tuple[Transition, str]] = []
         for x, following in zip(t.transitions, [*t.transitions[1:], None], strict=True):

@@ -18,6 +18,9 @@ from resync_robot.learning.dataset import Dataset, Run, Step
 Slots = tuple[int | None, ...]
 """For each argument of a predicate the parameter of a skill it is, or None for a type the skill does not mention."""
 
+Told = dict[tuple[int, tuple[Object, ...]], list[int]]
+"""(moment, arguments) -> the values that something forces on that atom."""
+
 MAX_CONFLICTS = 0.05
 """A candidate is contradicted when more of its forced stretches than this disagree; noise makes a few."""
 
@@ -65,10 +68,8 @@ class Candidate:
             usual = self.attempts.slots[0] == 1 and self.attempts.slots.count(None) == len(self.types) - 1
             which = "" if usual else "".join(map(_slot, self.attempts.slots))
             return f"Ready{self.attempts.skill}{which}-{kinds}"
-        signs = "-".join(
-            f"{e.skill}{''.join(map(_slot, e.slots))}{'pos' if e.sign > 0 else 'neg'}" for e in self.effects
-        )
-        return f"{signs}-{kinds}"
+        signs = [f"{e.skill}{''.join(map(_slot, e.slots))}{'pos' if e.sign > 0 else 'neg'}" for e in self.effects]
+        return "-".join([*signs, kinds])
 
     def __str__(self) -> str:
         vector = ", ".join(f"{e.skill} {'+' if e.sign > 0 else '-'}" for e in self.effects)
@@ -200,9 +201,7 @@ def supervise(dataset: Dataset, candidate: Candidate) -> Supervision:
     return Supervision(tuple(labels), tuple(invariances), conflicting / max(forced, 1))
 
 
-def _direct(
-    r: int, run: Run, candidate: Candidate
-) -> tuple[list[Label], dict[tuple[int, tuple[Object, ...]], list[int]]]:
+def _direct(r: int, run: Run, candidate: Candidate) -> tuple[list[Label], Told]:
     """Labels from effects and attempts, and the values they force on single atoms."""
     labels: list[Label] = []
 
@@ -222,7 +221,7 @@ def _direct(
             if step.skill == source.skill:
                 hold(step.before, affected(step, source.slots, candidate.types, run.objects), value)
     labels = list(dict.fromkeys(labels))
-    told: dict[tuple[int, tuple[Object, ...]], list[int]] = {}
+    told: Told = {}
     for label in labels:
         if len(label.atoms) == 1:
             told.setdefault((label.moment, label.atoms[0]), []).append(label.value)
@@ -233,7 +232,7 @@ def _stretches(
     run: Run, candidate: Candidate, args: tuple[Object, ...]
 ) -> Iterator[tuple[list[int], list[tuple[int, int]]]]:
     """Moments in a row between which no step affects the atom, each with the steps inside it."""
-    stretch, kept = [run.first], []
+    stretch, kept = [run.first], list[tuple[int, int]]()
     for step in run.steps:
         touched = any(
             e.skill == step.skill and args in affected(step, e.slots, candidate.types, run.objects)

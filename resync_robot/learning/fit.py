@@ -106,9 +106,8 @@ def fit(dataset: Dataset, candidate: Candidate, supervision: Supervision, seed: 
     scale = np.where(scale < 1e-4, 1.0, scale)
 
     def inputs() -> Tensor:
-        noisy = [
-            perturb(t, r, rng, config.position_m, config.angle) for t, r in zip(candidate.types, rows, strict=True)
-        ]
+        typed = zip(candidate.types, rows, strict=True)
+        noisy = [perturb(kind, r, rng, config.position_m, config.angle) for kind, r in typed]
         return torch.from_numpy(((relative_features(candidate.types, noisy) - mean) / scale).astype(np.float32))
 
     with torch.random.fork_rng():

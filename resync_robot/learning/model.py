@@ -4,21 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import RETRAIN, Record
 from resync_robot.core.symbols import Atom, Atoms, Operator, Predicate, Type
-from resync_robot.core.task import Domain
 from resync_robot.learning.classifiers import KIND, NeuralClassifier
 from resync_robot.learning.effects import Candidate
 from resync_robot.learning.fit import Fit
 from resync_robot.learning.operators import Column
-from resync_robot.learning.select import Concept, Selection, Selector
+from resync_robot.learning.select import Concept, Selection
 from resync_robot.planning.abstract import Classifier, Exists, ForAll, Form, Not, form_from_json, form_to_json
 from resync_robot.planning.pddl import domain_from_pddl, domain_to_pddl
 
 DERIVED = "derived"
+
+
+class GivenModel(Protocol):
+    """What concept learning needs of a domain: a `core.task.Domain` is one."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def types(self) -> tuple[Type, ...]: ...
+    @property
+    def predicates(self) -> tuple[Predicate, ...]: ...
+    @property
+    def classifiers(self) -> Mapping[str, Classifier]: ...
+    @property
+    def operators(self) -> tuple[Operator, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -47,8 +61,8 @@ class _Named:
 
     predicate: Predicate
     form: Form | None
-    candidate: Candidate
-    fit: Fit
+    candidate: Candidate | None
+    fit: Fit | None
 
 
 def load_concepts(
@@ -85,40 +99,34 @@ def load_concepts(
 
 
 def assemble(
-    given: Domain,
+    given: GivenModel,
     selection: Selection,
-    selector: Selector,
     pool: Sequence[Concept],
-    fits: Mapping[str, Fit],
     report: Mapping[str, Any],
 ) -> Concepts:
     """Name what was selected, add the predicates it derives from, and write it all down.
 
     Args:
         pool: every concept that could be selected, for the predicates that selected ones derive from.
-        fits: candidate name -> its classifier.
         report: what earlier stages have to say; the model is added to it.
     """
-    named, names = _name(selection.concepts, fits, {p.name for p in given.predicates})
+    named, names = _name(selection.concepts, {p.name for p in given.predicates})
     renamed = {old: n.predicate for old, n in names.items()}
     operators = tuple(_renamed(_with_effects(op, pool, names), renamed) for op in selection.score.operators)
     predicates = (*given.predicates, *(n.predicate for n in named))
     classifiers: dict[str, Classifier | Form] = dict(given.classifiers)
     records: dict[str, Record] = {}
     for n in named:
-        described: dict[str, Any] = {
-            "signature": [t.name for t in n.predicate.types],
-            "candidate": str(n.candidate),
-            "loss": round(n.fit.loss, 5),
-            "train_loss": round(n.fit.train_loss, 5),
-            "accuracy": round(n.fit.accuracy, 5),
-        }
-        if n.form is None:
-            classifiers[n.predicate.name] = n.fit.classifier
-            records[n.predicate.name] = n.fit.classifier.to_record(described)
-        else:
+        described: dict[str, Any] = {"signature": [t.name for t in n.predicate.types]}
+        if n.form is not None:
             classifiers[n.predicate.name] = n.form
             records[n.predicate.name] = Record({**described, "kind": DERIVED, **form_to_json(n.form)})
+        elif n.fit is not None:
+            described["candidate"] = str(n.candidate)
+            figures = (("loss", n.fit.loss), ("train_loss", n.fit.train_loss), ("accuracy", n.fit.accuracy))
+            described |= {name: round(value, 5) for name, value in figures}
+            classifiers[n.predicate.name] = n.fit.classifier
+            records[n.predicate.name] = n.fit.classifier.to_record(described)
     return Concepts(
         predicates,
         classifiers,
@@ -131,48 +139,48 @@ def assemble(
             "derived": {n.predicate.name: form_to_json(n.form) for n in named if n.form is not None},
             "pddl": domain_to_pddl(given.name, given.types, predicates, operators),
             "changes": _changes(given.operators, operators),
-            "affordance_of": _affordances(operators, {n.predicate for n in named}, selection, selector, renamed),
-            "exclusion": _exclusion(selection, selector, renamed),
+            "affordance_of": _affordances(operators, selection, names),
+            "exclusion": _exclusion(selection),
         },
     )
 
 
-def _name(
-    selected: Sequence[Concept], fits: Mapping[str, Fit], taken: set[str]
-) -> tuple[list[_Named], dict[str, _Named]]:
+def _name(selected: Sequence[Concept], taken: set[str]) -> tuple[list[_Named], dict[str, _Named]]:
     """Selected concepts and what they derive from, under final names; and the same by their names in the pool.
 
-    A predicate labelled by a skill's attempts is `Ready<Skill>`, another one `Concept<n>`. The plain name goes to what
-    was selected, so that plans read well; a base it derives from adds the types that were quantified away.
+    A predicate labelled by a skill's attempts is `Ready<Skill>`, another one `Concept<n>`, a form of a given predicate
+    keeps its name. The plain name goes to what was selected, so that plans read well; a base it derives from adds the
+    types that were quantified away.
     """
     named: dict[str, _Named] = {}
     used = {t.lower() for t in taken}
 
-    def add(old: str, wish: str, concept: Concept, form: Form | None, types: tuple[Type, ...]) -> Predicate:
-        if old not in named:
+    def add(old: Predicate, wish: str, concept: Concept, form: Form | None) -> Predicate:
+        if old.name not in named:
             name, n = wish, 2
             while name.lower() in used:
                 name, n = f"{wish}{n}", n + 1
             used.add(name.lower())
-            named[old] = _Named(Predicate(name, types), form, concept.candidate, fits[concept.candidate.name])
-        return named[old].predicate
+            named[old.name] = _Named(Predicate(name, old.types), form, concept.candidate, concept.fit)
+        return named[old.name].predicate
 
     for i, concept in enumerate(selected, start=1):
-        source = concept.candidate.attempts
-        root = f"Ready{source.skill}" if source is not None else f"Concept{i}"
-        candidate = concept.candidate
-        base = Predicate(candidate.name, candidate.types)
         # From the outermost form inwards; a form is at most a negation of a quantification of the base.
         chain: list[Form] = []
         form = concept.form
         while form is not None:
             chain.append(form)
-            form = _form_called(form.base, base)
-        wishes = [f"Not{root}" if isinstance(f, Not) else root for f in chain]
-        foreign = [f"-{candidate.types[k].name}" for f in chain if isinstance(f, ForAll | Exists) for k in f.over]
-        inner = add(base.name, root + "".join(foreign), concept, None, candidate.types)
+            form = _form_called(form.base, concept.base)
+        candidate = concept.candidate
+        if candidate is None:
+            inner, wishes = concept.base, [f.predicate.name for f in chain]
+        else:
+            root = f"Ready{candidate.attempts.skill}" if candidate.attempts else f"Concept{i}"
+            foreign = [f"-{f.base.types[k].name}" for f in chain if isinstance(f, ForAll | Exists) for k in f.over]
+            inner = add(concept.base, root + "".join(foreign), concept, None)
+            wishes = [f"Not{root}" if isinstance(f, Not) else root for f in chain]
         for derived, wish in reversed(list(zip(chain, wishes, strict=True))):
-            inner = add(derived.predicate.name, wish, concept, replace(derived, base=inner), derived.predicate.types)
+            inner = add(derived.predicate, wish, concept, replace(derived, base=inner))
     return list(named.values()), named
 
 
@@ -243,28 +251,25 @@ def _changes(before: Iterable[Operator], after: Iterable[Operator]) -> list[str]
 
 
 def _affordances(
-    operators: Iterable[Operator],
-    learned: set[Predicate],
-    selection: Selection,
-    selector: Selector,
-    names: Mapping[str, Predicate],
+    operators: Iterable[Operator], selection: Selection, names: Mapping[str, _Named]
 ) -> dict[str, dict[str, Any]]:
     """For each skill the learned precondition over one of its parameters that excludes most of its failures."""
     result: dict[str, dict[str, Any]] = {}
     for op in operators:
-        excluded = {
-            Atom(names[c.atom.predicate.name], c.atom.args): int((~c.failed).sum())
-            for concept in selection.concepts
-            for c in concept.evidence[op.name]
-        }
-        needed = [a for a in sorted(op.preconditions) if a.predicate in learned and len(a.args) == 1]
-        if needed:
-            best = max(needed, key=lambda a: (excluded.get(a, 0), str(a)))
-            result[op.name] = {"predicate": best.predicate.name, "argument": op.parameters.index(best.args[0])}  # type: ignore[arg-type]
+        best = (0, "", -1)
+        for concept in selection.concepts:
+            predicate = names[concept.predicate.name].predicate
+            for column in concept.evidence[op.name]:
+                needed = Atom(predicate, column.atom.args) in op.preconditions
+                if concept.candidate is not None and needed and len(column.atom.args) == 1:
+                    argument = [v.name for v in op.parameters].index(column.atom.args[0].name)
+                    best = max(best, (int((~column.failed).sum()) + 1, predicate.name, argument))
+        if best[0]:
+            result[op.name] = {"predicate": best[1], "argument": best[2]}
     return result
 
 
-def _exclusion(selection: Selection, selector: Selector, names: Mapping[str, Predicate]) -> dict[str, dict[str, float]]:
+def _exclusion(selection: Selection) -> dict[str, dict[str, float]]:
     """For each skill the share of its failures, and of its successes, that its learned preconditions rule out."""
     result = {}
     for op in selection.score.operators:

@@ -14,8 +14,9 @@ import numpy as np
 
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Variable
-from resync_robot.learning.dataset import Dataset
+from resync_robot.learning.dataset import ATTEMPT, Dataset
 from resync_robot.learning.effects import Candidate
+from resync_robot.learning.fit import Fit
 from resync_robot.learning.operators import Evidence, OperatorConfig, learn_operator
 from resync_robot.planning.abstract import Form, Not
 from resync_robot.planning.search import Plan, plan, plans
@@ -25,19 +26,21 @@ Sequence_ = tuple[tuple[str, tuple[Object, ...]], ...]
 
 @dataclass(frozen=True)
 class Concept:
-    """A predicate that selection may keep: a candidate itself or a form derived from it.
+    """A predicate that selection may keep: a candidate, or a form derived from a candidate or a given predicate.
 
     Attributes:
+        base: what it derives from in the end; itself where `form` is None.
+        candidate, fit: of the base; None where that is given.
         truth: for each moment the atoms that hold.
-        loss: of the classifier behind it.
     """
 
     predicate: Predicate
     form: Form | None
-    candidate: Candidate
+    base: Predicate
+    candidate: Candidate | None
+    fit: Fit | None
     truth: tuple[Atoms, ...]
     evidence: Evidence
-    loss: float
 
     @property
     def preference(self) -> tuple[bool, int, bool, float, str]:
@@ -46,11 +49,12 @@ class Concept:
         Labelled by attempts first; then effects that leave every other skill at 0, (0, +, 0) before (0, +, -): what
         the next skill destroys again is no state of the world; then positive forms, and the better fit.
         """
+        candidate = self.candidate
         return (
-            self.candidate.attempts is None,
-            len(self.candidate.effects),
+            candidate is not None and candidate.attempts is None,
+            len(candidate.effects) if candidate else 0,
             isinstance(self.form, Not),
-            round(self.loss, 3),
+            round(self.fit.loss, 3) if self.fit else 0.0,
             self.predicate.name,
         )
 
@@ -123,9 +127,11 @@ class Selector:
         self.dataset, self.given, self.given_evidence = dataset, given, given_evidence
         self.parameters, self.fallback = parameters, fallback
         self.config, self.operator_config = config, operator_config
-        self.demonstrations = [r for r in dataset.runs if r.solved and r.steps]
+        # A single attempt aims at no goal, so it shows no way to one.
+        self.demonstrations = [r for r in dataset.runs if r.solved and r.steps and r.source != ATTEMPT]
         self.failures = [s for r in dataset.runs for s in r.failures]
-        self._scores: dict[tuple[Operator, ...], dict[tuple[object, ...], tuple[Plan, ...]]] = {}
+        self._memory: dict[tuple[Operator, ...], dict[tuple[object, ...], tuple[Plan, ...]]] = {}
+        self._grounded: dict[tuple[Operator, tuple[Object, ...]], Atoms] = {}
 
     def operators(self, concepts: Sequence[Concept]) -> tuple[Operator, ...]:
         """Learned from the data with the given predicates and these concepts."""
@@ -153,7 +159,7 @@ class Selector:
             nodes.append(found[0].nodes_created if found else self.config.max_nodes)
         by_name = {op.name: op for op in operators}
         allowed = [
-            by_name[s.skill].ground(s.objects).applicable(self._atoms(s.before, concepts))
+            self._preconditions(by_name[s.skill], s.objects) <= self._atoms(s.before, concepts)
             for s in self.failures
             if s.skill in by_name
         ]
@@ -166,10 +172,16 @@ class Selector:
     def _atoms(self, moment: int, concepts: Sequence[Concept]) -> Atoms:
         return self.given[moment].union(*(k.truth[moment] for k in concepts))
 
+    def _preconditions(self, operator: Operator, objects: tuple[Object, ...]) -> Atoms:
+        key = (operator, objects)
+        if key not in self._grounded:
+            self._grounded[key] = operator.ground(objects).preconditions
+        return self._grounded[key]
+
     def _plans(
         self, operators: tuple[Operator, ...], objects: tuple[Object, ...], atoms: Atoms, goal: Atoms
     ) -> tuple[Plan, ...]:
-        memory = self._scores.setdefault(operators, {})
+        memory = self._memory.setdefault(operators, {})
         key = (objects, atoms, goal)
         if key not in memory:
             if self.config.plans > 1:
@@ -225,6 +237,10 @@ def select(
         rest = [k for k in pool if k.predicate not in {c.predicate for c in chosen}]
         for i, concept in enumerate(rest):
             progress(f"selecting concept {len(chosen) + 1}, J = {best.j:.1f}", i / len(rest))
+            # What no operator asks for changes no plan.
+            operators = selector.operators([*chosen, concept])
+            if not any(a.predicate == concept.predicate for op in operators for a in op.preconditions):
+                continue
             scored.append((selector.score([*chosen, concept]), concept))
         if not scored:
             break

@@ -36,18 +36,23 @@ class Terminal(nn.Module):
         """(n,) probability that the skill is over, for (n, d) features."""
         return torch.sigmoid(self(features))
 
+    def _saved(self) -> list[str]:
+        # The batch counter of batch norm takes no part in a prediction.
+        return [k for k in self.state_dict() if not k.endswith("num_batches_tracked")]
+
     def to_record(self) -> Record:
-        tensors = {k: v.detach().numpy().copy() for k, v in self.state_dict().items()}
+        tensors = {k: self.state_dict()[k].detach().numpy().copy() for k in self._saved()}
         return Record({"inputs": len(self.mean)}, tensors)
 
     @staticmethod
     def from_record(record: Record) -> Terminal:
         """Raises LibraryError where weights or the normaliser are missing or misshaped."""
         terminal = Terminal(int(record.meta["inputs"]))
-        for name, value in terminal.state_dict().items():
+        for name in terminal._saved():
+            value = terminal.state_dict()[name]
             if name not in record.tensors or tuple(record.tensors[name].shape) != tuple(value.shape):
                 raise LibraryError(f"a terminal function's record has no fitting '{name}'", RETRAIN)
-        terminal.load_state_dict({k: torch.from_numpy(np.array(v)) for k, v in record.tensors.items()})
+        terminal.load_state_dict({k: torch.from_numpy(np.array(v)) for k, v in record.tensors.items()}, strict=False)
         return terminal.eval()
 
 

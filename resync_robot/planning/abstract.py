@@ -71,7 +71,9 @@ class _Quantified:
     @property
     def predicate(self) -> Predicate:
         kept = tuple(t for i, t in enumerate(self.base.types) if i not in self.over)
-        gone = "-".join(self.base.types[i].name for i in self.over)
+        types = self.base.types
+        # With its position where the predicate has several arguments of the type: exists-block0 is not exists-block1.
+        gone = "-".join(f"{types[i].name}{i if types.count(types[i]) > 1 else ''}" for i in self.over)
         return Predicate(f"{self.base.name}-{self.word}-{gone}", kept)
 
     def keeps(self, args: tuple[Object, ...]) -> tuple[Object, ...]:

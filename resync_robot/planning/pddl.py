@@ -34,16 +34,23 @@ def domain_to_pddl(
         "  )",
     ]
     for op in operators:
-        effects = [_atom(a) for a in sorted(op.add)] + [f"(not {_atom(a)})" for a in sorted(op.delete)]
-        lines += [
-            f"  (:action {op.name}",
-            f"    :parameters ({_typed('', op.parameters).strip()})",
-            # pyperplan crashes on an empty condition (), so a conjunction is always written.
-            f"    :precondition {_conjunction(_atom(a) for a in sorted(op.preconditions))}",
-            f"    :effect {_conjunction(effects)}",
-            "  )",
-        ]
+        lines += [f"  {line}" for line in operator_to_pddl(op).splitlines()]
     return "\n".join([*lines, ")", ""])
+
+
+def operator_to_pddl(op: Operator) -> str:
+    """One action of a domain."""
+    effects = [_atom(a) for a in sorted(op.add)] + [f"(not {_atom(a)})" for a in sorted(op.delete)]
+    return "\n".join(
+        [
+            f"(:action {op.name}",
+            f"  :parameters ({_typed('', op.parameters).strip()})",
+            # pyperplan crashes on an empty condition (), so a conjunction is always written.
+            f"  :precondition {_conjunction(_atom(a) for a in sorted(op.preconditions))}",
+            f"  :effect {_conjunction(effects)}",
+            ")",
+        ]
+    )
 
 
 def problem_to_pddl(name: str, domain: str, objects: Iterable[Object], atoms: Atoms, goal: Atoms) -> str:

@@ -16,6 +16,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Variable
 from resync_robot.core.task import Domain, Scenario, Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.learning.failures import place_relative
 from sim_training.parts import BOX_FLOOR
 from sim_training.randomise import draw_physics
 
@@ -80,10 +81,14 @@ def sample_box(rng: np.random.Generator) -> np.ndarray:
     return np.array([x, y, BOX_FLOOR, *spatial.quat_from_yaw(yaw), *inner, rng.uniform(0.10, 0.115), 0.03])
 
 
-def sample_block_size(rng: np.random.Generator) -> np.ndarray:
-    """(3,) extents of a block's body: square, so that every block fits every other."""
+def sample_block_sizes(rng: np.random.Generator, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """(3,) extents of each body: one footprint for the set, as building blocks have, and a height each."""
     width = rng.uniform(0.052, 0.066)
-    return np.array([width, width, rng.uniform(0.040, 0.050)])
+    sizes = {}
+    for name in names:
+        side = width + rng.uniform(-0.0003, 0.0003)
+        sizes[name] = np.array([side, side, rng.uniform(0.040, 0.050)])
+    return sizes
 
 
 def block_features(box: np.ndarray, local: Sequence[float], size: np.ndarray, on_table: bool = False) -> np.ndarray:
@@ -125,7 +130,7 @@ def free_in_box(rng: np.random.Generator, box: np.ndarray, width: float) -> tupl
 def free_on_table(rng: np.random.Generator, box: np.ndarray) -> tuple[float, float, float]:
     """(x, y, yaw) in the box's frame, to the left or right of it."""
     beside = box[8] / 2 + box[10] + rng.uniform(0.085, 0.13)
-    return rng.uniform(-0.08, 0.06), float(rng.choice([-1, 1])) * beside, rng.uniform(-np.pi, np.pi)
+    return rng.uniform(-0.10, 0.08), float(rng.choice([-1, 1])) * beside, rng.uniform(-np.pi, np.pi)
 
 
 def sample_task(
@@ -135,21 +140,26 @@ def sample_task(
     cornered: Sequence[str],
     walled: Sequence[str],
     free: Sequence[str],
+    in_box: float = 0.5,
 ) -> Task:
-    """A task with the named blocks in corners, against single walls, and free (in the box or on the table)."""
+    """A task with the named blocks in corners, against single walls, and free: in the box or on the table.
+
+    Args:
+        in_box: probability that a free block stands in the box.
+    """
     rig = load_rig()
     while True:
         box = sample_box(rng)
         corners = rng.permutation(4)
         local: dict[str, tuple[float, float, float]] = {}
-        sizes = {name: sample_block_size(rng) for name in (*cornered, *walled, *free)}
+        sizes = sample_block_sizes(rng, (*cornered, *walled, *free))
         outside: set[str] = set()
         for name, corner in zip(cornered, corners, strict=False):
             local[name] = corner_pose(rng, box, sizes[name][0], int(corner))
         for name in walled:
             local[name] = wall_pose(rng, box, sizes[name][0], int(rng.integers(4)))
         for name in free:
-            if rng.random() < 0.5:
+            if rng.random() < in_box:
                 local[name] = free_in_box(rng, box, sizes[name][0])
             else:
                 local[name] = free_on_table(rng, box)
@@ -161,6 +171,31 @@ def sample_task(
     features[R] = np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, rig.gripper.max_opening])
     state = State(features)
     return Task(state.objects, state, goal, draw_physics(rng, sorted(local)), seed)
+
+
+def relocate(task: Task, block: Object, relative: tuple[float, float, float], rng: np.random.Generator) -> Task:
+    """The task with one block at a relative pose in the box: (small gap, large gap, heading)."""
+    size = task.initial.get(block, "size_x", "size_y", "size_z")
+    box = task.initial[THE_BOX]
+    features = block_features(box, place_relative(box, size, relative, rng), size)
+    values = dict(zip(BLOCK.features, features, strict=True))
+    return Task(task.objects, task.initial.with_features(block, **values), task.goal, task.physics, task.seed)
+
+
+def dream_task(rng: np.random.Generator, seed: int, blocks: int) -> Task:
+    """On(b0, b1) with every block free on the table, so that any of them can be moved into the box."""
+    names = [f"b{i}" for i in range(blocks)]
+    return sample_task(rng, seed, frozenset({ON(BLOCK("b0"), BLOCK("b1"))}), [], [], names, in_box=0.0)
+
+
+def practice_task(rng: np.random.Generator, seed: int) -> Task:
+    """On(b0, b1) with one of them anywhere between a corner and the middle, walls and middling gaps included."""
+    task = dream_task(rng, seed, 2)
+    # Two thirds near both walls, where skills begin to fail; the rest along one wall.
+    gaps = rng.uniform(0.001, 0.045), rng.uniform(0.001, 0.045 if rng.random() < 0.67 else 0.09)
+    # Close to a wall a block cannot stand askew.
+    angle = rng.uniform(-0.05, 0.05) if min(gaps) < 0.015 else rng.uniform(-np.pi / 4, np.pi / 4)
+    return relocate(task, BLOCK(f"b{rng.integers(2)}"), (min(gaps), max(gaps), float(angle)), rng)
 
 
 def _apart(local: dict[str, tuple[float, float, float]]) -> bool:
@@ -193,6 +228,10 @@ CORNERED_INSERTION_S = Domain(
     predicates=(HAND_EMPTY, HOLDING, ON),
     classifiers={"HandEmpty": hand_empty, "Holding": holding, "On": on},
     operators=(PICK, INSERT),
+    recovery="Recover",
+    relocate=relocate,
+    dream=dream_task,
+    practice=practice_task,
     scenarios={
         s.name: s
         for s in (

@@ -1,0 +1,105 @@
+"""The learned recovery as a skill: approach, run the policy until its beta says done, get out of the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from policies.cartesian import Blocked, Hand, Motion, run_motion
+from policies.grasp import travel_height
+from resync_robot.core import spatial
+from resync_robot.core.library import Record
+from resync_robot.core.rig import Rig
+from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.symbols import Object
+from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.core.world import Observation
+from resync_robot.learning.recovery_policy import ActorCritic, commanded_tip, observe, project
+from resync_robot.learning.terminals import Terminal
+
+RATE_HZ = 50.0
+DECISION_STEPS = 5
+"""Control steps between two decisions of the policy: 10 Hz, as it was trained."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecoverySkillSettings:
+    approach_height: float = 0.06
+    """m over the stud at which the policy takes over."""
+    travel_speed: float = 0.25
+    approach_speed: float = 0.10
+    max_decisions: int = 150
+    effort_limit: tuple[float, ...] = (40.0, 40.0, 40.0, 12.0, 12.0, 12.0)
+    """N m; as in training. Without it the arm can press harder than the block stands."""
+
+
+def recovery_skill(name: str, record: Record, rig: Rig, settings: RecoverySkillSettings | None = None) -> Skill:
+    """The skill of a library record, over (robot, block, box). Raises LibraryError on a broken record."""
+    s = settings or RecoverySkillSettings()
+    net = ActorCritic.from_record(Record(record.meta["policy"], _part(record, "policy.")))
+    done = Terminal.from_record(Record(record.meta["terminal"], _part(record, "terminal.")))
+    return skill_from(name, net.act, done.probability, rig, s)
+
+
+def skill_from(
+    name: str, act: Callable[[Tensor], Tensor], done: Callable[[Tensor], Tensor], rig: Rig, s: RecoverySkillSettings
+) -> Skill:
+    """A recovery skill from a policy and a terminal function over (n, 19) observations."""
+    return Skill(
+        name,
+        (ROBOT, BLOCK, BOX),
+        lambda objects, first: run_motion(_recover(objects, first, rig, act, done, s), first),
+        RATE_HZ,
+        time_limit_s=45,
+        live_state=True,
+        effort_limit=s.effort_limit,
+    )
+
+
+def _recover(
+    objects: tuple[Object, ...],
+    first: Observation,
+    rig: Rig,
+    act: Callable[[Tensor], Tensor],
+    done: Callable[[Tensor], Tensor],
+    s: RecoverySkillSettings,
+) -> Motion:
+    robot, block, box = objects
+    hand = Hand(rig, first, 1.0 / RATE_HZ, stray=np.inf)
+    above = travel_height(first.state, carried=None)
+    x, y, z, height = first.state.get(block, "x", "y", "z", "size_z")
+    # Square to the box, at the smallest turn: as in training.
+    yaw = float(spatial.wrap(spatial.yaw_of(first.state.get(box, "qw", "qx", "qy", "qz")), np.pi / 2))
+    try:
+        yield from hand.retreat(above, s.approach_speed)
+        yield from hand.open(0.0)
+        yield from hand.move(x, y, above, yaw, s.travel_speed)
+        start = min(above, z + height / 2 + 0.012 + s.approach_height)
+        yield from hand.move(x, y, start, yaw, s.approach_speed)
+        finished = False
+        for _ in range(s.max_decisions):
+            projected = project(hand.last.state, robot, block, box, hand.position)
+            with torch.no_grad():
+                seen = observe(projected)
+                if float(done(seen)) > 0.5:
+                    finished = True
+                    break
+                goal = commanded_tip(projected, act(seen))[0].double().numpy()
+            begin = hand.position.copy()
+            for i in range(1, DECISION_STEPS + 1):
+                hand.position = begin + (goal - begin) * i / DECISION_STEPS
+                hand.last = yield hand.target()
+        yield from hand.move(hand.position[0], hand.position[1], above, yaw, s.approach_speed)
+    except Blocked as blocked:
+        return Outcome(Ending.BLOCKED, str(blocked))
+    if not finished:
+        return Outcome(Ending.TIMEOUT, f"{s.max_decisions / 10:.0f} s of the policy did not recover {block}")
+    return Outcome(Ending.DONE)
+
+
+def _part(record: Record, prefix: str) -> dict[str, np.ndarray]:
+    return {k.removeprefix(prefix): v for k, v in record.tensors.items() if k.startswith(prefix)}

@@ -1,0 +1,45 @@
+"""Models for Plan_f: the given one, the given one with a recovery skill, and the one that a library holds."""
+
+from __future__ import annotations
+
+from resync_robot.core.errors import LibraryError
+from resync_robot.core.library import RETRAIN, Library, Record
+from resync_robot.core.rig import Rig
+from resync_robot.core.task import Domain
+from resync_robot.learning.model import load_concepts
+from resync_robot.planning.abstract import Abstraction
+from resync_robot.planning.execute import Affordance, Model
+
+
+def initial_model(domain: Domain, rig: Rig) -> Model:
+    """What the robot knows before it has failed (C_0, Psi_0, Op_0)."""
+    from policies.scripted import scripted_skills
+
+    skills = {s.name: s for s in scripted_skills(rig)}
+    return Model(skills, Abstraction(domain.predicates, domain.classifiers), domain.operators)
+
+
+def model_with_recovery(domain: Domain, rig: Rig, record: Record) -> Model:
+    """The given model with the learned skill beside it, which the planner cannot use yet."""
+    from policies.neural import recovery_skill
+
+    model = initial_model(domain, rig)
+    skill = recovery_skill(domain.recovery, record, rig)
+    return Model({**model.skills, skill.name: skill}, model.abstraction, model.operators)
+
+
+def learned_model(domain: Domain, rig: Rig, library: Library) -> Model:
+    """Everything a library holds. Raises LibraryError where it does not fit the domain."""
+    if library.domain != domain.name:
+        raise LibraryError(f"the library was learned in '{library.domain}', not in '{domain.name}'", RETRAIN)
+    if domain.recovery not in library.skills:
+        raise LibraryError(f"the library holds no skill '{domain.recovery}'", RETRAIN)
+    known = {p.name: domain.classifiers[p.name] for p in domain.predicates}
+    types = {t.name: t for t in domain.types}
+    predicates, classifiers, operators = load_concepts(library.domain_pddl, library.predicates, types, known)
+    affordances = {
+        skill: Affordance(str(entry["predicate"]), int(entry["argument"]))
+        for skill, entry in library.provenance.get("affordance_of", {}).items()
+    }
+    with_skill = model_with_recovery(domain, rig, library.skills[domain.recovery])
+    return Model(with_skill.skills, Abstraction(predicates, classifiers), operators, affordances)

@@ -1,0 +1,220 @@
+"""Plan_f: ground, plan, run a skill until its beta or its time limit, ground again, replan. The only such loop.
+
+Training, evaluation and deployment run this very function; they differ in the world and the model they hand in.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+from resync_robot.core.errors import PlanningError, UnknownNameError
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Operator
+from resync_robot.core.trajectory import Transition
+from resync_robot.core.world import Observation, World
+from resync_robot.planning.abstract import HOLDS, Abstraction
+from resync_robot.planning.search import Plan, plan
+
+
+@dataclass(frozen=True)
+class Affordance:
+    """A learned atom that a skill relies on: after a failure of the skill it is held false until restored.
+
+    Attributes:
+        predicate: its name.
+        argument: which of the skill's arguments the atom is about.
+    """
+
+    predicate: str
+    argument: int
+
+
+@dataclass(frozen=True)
+class Model:
+    """What Plan_f plans with: skills, abstraction, operators (the paper's C, Psi, Op)."""
+
+    skills: Mapping[str, Skill]
+    abstraction: Abstraction
+    operators: tuple[Operator, ...]
+    affordances: Mapping[str, Affordance] = field(default_factory=dict)
+
+    def skill(self, name: str) -> Skill:
+        if name not in self.skills:
+            raise UnknownNameError("skill", name, list(self.skills))
+        return self.skills[name]
+
+
+class Reaction(Protocol):
+    """What a reactive method does about a failed skill (Recovery Chaining); the default does nothing."""
+
+    def __call__(self, failed: GroundSkill, state: State) -> GroundSkill | None: ...
+
+
+class End(Enum):
+    GOAL = "goal"
+    NO_PLAN = "no plan"
+    STUCK = "stuck"
+    """The same skill failed too often."""
+    EXHAUSTED = "exhausted"
+    """Too many skills were run."""
+    STOPPED = "stopped"
+    """The user declined a step."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """How an episode of Plan_f ended, and every attempt it made."""
+
+    end: End
+    reason: str
+    transitions: tuple[Transition, ...]
+    plans: tuple[Plan, ...]
+    final: State
+
+    @property
+    def success(self) -> bool:
+        return self.end is End.GOAL
+
+
+class Listener:
+    """Hears what happens; recorders override what they need."""
+
+    def on_perceived(self, state: State, atoms: Mapping[Atom, float]) -> None: ...
+
+    def on_plan(self, plan: Plan, reason: str) -> None: ...
+
+    def on_step_of_plan(self, index: int) -> None: ...
+
+    def on_skill_start(self, skill: GroundSkill) -> None: ...
+
+    def on_control(self, observation: Observation, target: JointTarget) -> None: ...
+
+    def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None: ...
+
+    def on_end(self, end: End, reason: str) -> None: ...
+
+    def confirm(self, step: GroundOperator) -> bool:
+        """May this step run? Asked before each one."""
+        return True
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExecuteSettings:
+    max_skills: int = 16
+    max_failures: int = 3
+    """Failures of one ground skill after which the episode is given up."""
+    heuristic: str = "lmcut"
+
+
+def plan_f(
+    world: World,
+    model: Model,
+    goal: Atoms,
+    settings: ExecuteSettings | None = None,
+    listener: Listener | None = None,
+    reaction: Reaction | None = None,
+) -> Result:
+    """Reach `goal` in `world` with what `model` knows."""
+    s, listener = settings or ExecuteSettings(), listener or Listener()
+    transitions: list[Transition] = []
+    plans: list[Plan] = []
+    failures: Counter[str] = Counter()
+    distrusted: set[Atom] = set()
+    state, atoms = _look(world, model, distrusted, listener)
+    reason = "start"
+
+    def ended(end: End, why: str = "") -> Result:
+        listener.on_end(end, why)
+        return Result(end, why, tuple(transitions), tuple(plans), state)
+
+    while True:
+        if goal <= atoms:
+            return ended(End.GOAL)
+        try:
+            found = plan(model.operators, state.objects, atoms, goal, heuristic=s.heuristic)
+        except PlanningError as error:
+            return ended(End.NO_PLAN, error.what)
+        plans.append(found)
+        listener.on_plan(found, reason)
+        for index, step in enumerate(found.steps):
+            if not step.applicable(atoms):
+                missing = ", ".join(map(str, sorted(step.preconditions - atoms)))
+                reason = f"{step} needs {missing}"
+                break
+            if len(transitions) >= s.max_skills:
+                return ended(End.EXHAUSTED, f"{len(transitions)} skills were run")
+            listener.on_step_of_plan(index)
+            if not listener.confirm(step):
+                return ended(End.STOPPED, f"{step} was declined")
+            ground = model.skill(step.name).ground(step.objects)
+            before = state
+            outcome = run_skill(world, ground, listener)
+            for atom in step.add:
+                distrusted.discard(atom)
+            state, atoms = _look(world, model, distrusted, listener)
+            came_true = step.add <= atoms and not (step.delete & atoms)
+            transitions.append(Transition(before, step.name, step.objects, state, came_true))
+            if came_true:
+                continue
+            reason = f"{step} did not do what it should ({outcome.ending.value}: {outcome.reason or 'effects missing'})"
+            failures[str(step)] += 1
+            if failures[str(step)] >= s.max_failures:
+                return ended(End.STUCK, reason)
+            distrust = _distrust(model, ground)
+            if distrust is not None:
+                distrusted.add(distrust)
+                atoms = atoms - {distrust}
+            recovery = reaction(ground, state) if reaction else None
+            if recovery is not None:
+                before = state
+                outcome = run_skill(world, recovery, listener)
+                state, atoms = _look(world, model, distrusted, listener)
+                transitions.append(Transition(before, recovery.name, recovery.objects, state, outcome.done))
+            break
+        else:
+            reason = "the plan ended short of the goal"
+
+
+def run_skill(world: World, ground: GroundSkill, listener: Listener | None = None) -> Outcome:
+    """Run one ground skill to its end or its time limit."""
+    listener = listener or Listener()
+    skill = ground.skill
+    listener.on_skill_start(ground)
+    world.limit_effort(skill.effort_limit)
+    observation = world.observe(skill.live_state)
+    policy = skill.start(ground.objects, observation)
+    deadline = observation.time + skill.time_limit_s
+    while True:
+        answer = policy.step(observation)
+        if isinstance(answer, Outcome):
+            break
+        listener.on_control(observation, answer)
+        world.act(answer, 1.0 / skill.rate_hz)
+        observation = world.observe(skill.live_state)
+        if observation.time > deadline:
+            answer = Outcome(Ending.TIMEOUT, f"not done after {skill.time_limit_s:.0f} s")
+            break
+    world.limit_effort(None)
+    listener.on_skill_end(ground, answer)
+    return answer
+
+
+def _look(world: World, model: Model, distrusted: set[Atom], listener: Listener) -> tuple[State, Atoms]:
+    state = world.perceive()
+    probabilities = {atom: (0.0 if atom in distrusted else p) for atom, p in model.abstraction.abstract(state).items()}
+    listener.on_perceived(state, probabilities)
+    return state, frozenset(a for a, p in probabilities.items() if p > HOLDS)
+
+
+def _distrust(model: Model, failed: GroundSkill) -> Atom | None:
+    affordance = model.affordances.get(failed.name)
+    if affordance is None:
+        return None
+    predicate = next((p for p in model.abstraction.predicates if p.name == affordance.predicate), None)
+    return None if predicate is None else predicate(failed.objects[affordance.argument])

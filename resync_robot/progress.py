@@ -1,0 +1,60 @@
+"""Progress bars for long work: one line a stage, with the figure that matters."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+_console = Console(file=sys.stderr, highlight=False)
+
+
+def say(text: str) -> None:
+    """A line of a report, on standard output."""
+    Console(highlight=False, soft_wrap=True, markup=False).print(text)
+
+
+class Stages:
+    """Named stages, shown as they run. Where output is no terminal, a line at each tenth instead of a bar."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._width = max(map(len, names))
+        self._bars = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[figure]}"),
+            console=_console,
+            disable=not _console.is_terminal,
+        )
+
+    def __enter__(self) -> Stages:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bars.stop()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Callable[[float, str], None]]:
+        """Yields `progress(share done, figure)`."""
+        task = self._bars.add_task(name.ljust(self._width), total=1.0, figure="")
+        told = -1
+
+        def progress(share: float, figure: str) -> None:
+            nonlocal told
+            self._bars.update(task, completed=min(share, 1.0), figure=figure)
+            if not _console.is_terminal and int(share * 10) > told:
+                told = int(share * 10)
+                _console.print(f"{name}: {100 * min(share, 1.0):.0f} %  {figure}", soft_wrap=True)
+
+        yield progress
+        self._bars.update(task, completed=1.0)

@@ -1,0 +1,98 @@
+"""A run as a folder: its settings, what each stage left, its figures. Every write is whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from resync_robot.core.errors import ConfigError
+
+
+class RunFolder:
+    """`runs/<date>-<name>/{config.json, metrics.json, stages/, library/}`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.stages = path / "stages"
+        try:
+            self.stages.mkdir(parents=True, exist_ok=True)
+            probe = path / ".writable"
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            raise ConfigError(f"cannot write to {path}: {error.strerror}", "give another folder with --out") from None
+
+    @property
+    def library(self) -> Path:
+        return self.path / "library"
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        return read_json(self.path / "metrics.json") or {}
+
+    def record(self, stage: str, figures: dict[str, Any]) -> None:
+        """Add a stage's figures to metrics.json."""
+        write_json(self.path / "metrics.json", {**self.metrics, stage: {**self.metrics.get(stage, {}), **figures}})
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Adds the seconds spent to the stage's figures, over all the times it was resumed."""
+        begin = time.monotonic()
+        yield
+        spent = self.metrics.get(stage, {}).get("seconds", 0.0) + time.monotonic() - begin
+        self.record(stage, {"seconds": round(spent, 1)})
+
+
+def default_folder(name: str) -> Path:
+    """runs/<date>-<name>, numbered where that exists."""
+    base = Path("runs") / f"{date.today().isoformat()}-{name}"
+    path, n = base, 2
+    while path.exists():
+        path, n = base.with_name(f"{base.name}-{n}"), n + 1
+    return path
+
+
+def latest_folder(name: str) -> Path:
+    """The newest run of that name. Raises ConfigError where there is none."""
+    found = sorted(Path("runs").glob(f"*-{name}*/config.json"), key=lambda p: p.stat().st_mtime)
+    if not found:
+        raise ConfigError(f"there is no run of '{name}' under runs/ to resume", "start one without --resume")
+    return found[-1].parent
+
+
+def read_json(path: Path) -> Any:
+    """The file's content, or None where there is no such file. Raises ConfigError on a broken one."""
+    if not path.exists():
+        return None
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise ConfigError(f"{path} is no valid JSON: {error}", "remove it, or start a new run") from None
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write beside and rename."""
+    beside = path.with_name(path.name + ".part")
+    beside.write_text(json.dumps(data, indent=2, sort_keys=True) + "\n")
+    beside.replace(path)
+
+
+def git_hash() -> str:
+    """The commit of the code that runs, '+' where it has changes; 'unknown' outside a checkout."""
+    here = Path(__file__).parent
+    try:
+        head = subprocess.run(
+            ["git", "rev-parse", "--short=12", "HEAD"], cwd=here, capture_output=True, text=True, timeout=5
+        )
+        dirty = subprocess.run(
+            ["git", "status", "--porcelain", "-uno"], cwd=here, capture_output=True, text=True, timeout=5
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return "unknown"
+    return head.stdout.strip() + ("+" if dirty.stdout.strip() else "") if head.returncode == 0 else "unknown"

@@ -1,0 +1,346 @@
+"""The stages of training, each a function from what earlier ones left in the run folder to a file of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors.numpy import load_file, save_file
+
+from resync_robot.core.errors import TrainingError
+from resync_robot.core.library import Record
+from resync_robot.core.rig import Rig, load_rig
+from resync_robot.core.symbols import Object
+from resync_robot.core.task import Domain, Task
+from resync_robot.core.trajectory import Trajectory, read_trajectories, write_trajectories
+from resync_robot.core.vocabulary import ROBOT, TYPES
+from resync_robot.knowledge import initial_model, model_with_recovery
+from resync_robot.learning import recovery_policy as view
+from resync_robot.learning.failures import Culprit, PairGaussian, find_culprit, relative_pose
+from resync_robot.learning.recovery_policy import ActorCritic
+from resync_robot.learning.terminals import train_terminal
+from resync_robot.planning.execute import Model, run_skill
+from resync_robot.run_folder import RunFolder, read_json, write_json
+from sim_training.domains import find_domain
+from sim_training.dream import DreamSpec, dream, dream_specs, useful
+from sim_training.mine import Attempt, attempt_task, is_at_rest, resample_failure
+from sim_training.parallel import parallel_map
+from sim_training.ppo import PpoSettings, RecoveryEnv, train_recovery
+from sim_training.recovery import RecoverySettings, is_recovered
+from sim_training.vector_env import RecoveryScenes
+from sim_training.world import SimWorld
+
+Progress = Callable[[float, str], None]
+"""Called with the share of a stage that is done and the figure that matters."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """How much of everything."""
+
+    tasks: int = 10
+    """N, the training tasks that are tried first."""
+    failures: int = 128
+    """Size of the mined set D^F."""
+    ppo: PpoSettings = field(default_factory=PpoSettings)
+    proxy_checks: int = 24
+    """Fresh worlds in which the recovery is followed by the real failed skill."""
+    dreams: int = 150
+    attempts: int = 150
+
+
+PRESETS = {
+    "smoke": Preset(
+        failures=16,
+        ppo=PpoSettings(total_steps=45_000, least_steps=0, stop_at=0.9),
+        proxy_checks=4,
+        dreams=24,
+        attempts=12,
+    ),
+    "quick": Preset(),
+    "full": Preset(
+        failures=512,
+        ppo=PpoSettings(total_steps=2_000_000, least_steps=1_000_000, stop_at=0.999),
+        proxy_checks=200,
+        dreams=600,
+        attempts=600,
+    ),
+}
+
+TRAINING_SEEDS = 1_000_000
+"""Each training seed owns this many world seeds from seed * TRAINING_SEEDS on; evaluation draws from elsewhere."""
+
+
+@dataclass(frozen=True)
+class Context:
+    """What episodes need, rebuilt in each worker process."""
+
+    domain: Domain
+    rig: Rig
+    model: Model
+
+
+def make_context(domain: str, recovery: Record | None) -> Context:
+    found, rig = find_domain(domain), load_rig()
+    model = initial_model(found, rig) if recovery is None else model_with_recovery(found, rig, recovery)
+    return Context(found, rig, model)
+
+
+# -- mining -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Mined:
+    """D^F: who failed on what, and world seeds whose resampled states really fail."""
+
+    culprit: Culprit
+    relevant: Object
+    before: PairGaussian
+    seeds: tuple[int, ...]
+    scenario: str
+
+    def tasks(self, domain: Domain) -> list[Task]:
+        return [resample_failure(domain, self.scenario, self.relevant, self.before, s) for s in self.seeds]
+
+
+def _try(context: Context, job: tuple[str, int]) -> Attempt | None:
+    scenario, seed = job
+    task = context.domain.scenario(scenario).sample(np.random.default_rng(seed), seed)
+    return attempt_task(task, context.model, context.rig)
+
+
+def _retry(context: Context, job: tuple[str, Object, PairGaussian, int]) -> Attempt | None:
+    scenario, relevant, gaussian, seed = job
+    task = resample_failure(context.domain, scenario, relevant, gaussian, seed)
+    return attempt_task(task, context.model, context.rig)
+
+
+def mine(domain: Domain, folder: RunFolder, preset: Preset, seed: int, workers: int, progress: Progress) -> Mined:
+    """Try the training tasks, explain their failure, and make many more like it."""
+    path = folder.stages / "failures.json"
+    saved = read_json(path)
+    if saved is None:
+        first = seed * TRAINING_SEEDS
+        scenario = next(s.name for s in domain.scenarios.values() if s.training)
+        context = partial(make_context, domain.name, None)
+        tried = [
+            a for a in parallel_map(_try, [(scenario, first + i) for i in range(preset.tasks)], context, workers) if a
+        ]
+        failures = [a.failure for a in tried if a.failure]
+        if not failures:
+            raise TrainingError(f"none of {len(tried)} tasks of {scenario} failed: there is nothing to learn from")
+        culprit = find_culprit(failures, frozenset(o for a in tried for o in a.task.objects if o.type == ROBOT))
+        relevant = next(f.objects[culprit.relevant_argument] for f in failures if f.skill == culprit.skill)
+        alike = [f for f in failures if f.skill == culprit.skill and relevant in f.objects]
+        before = PairGaussian.fit([relative_pose(f.state, relevant, culprit.failure_object) for f in alike])
+        trajectories = [a.trajectory for a in tried]
+        seeds: list[int] = []
+        batch, drawn = 2 * workers * 4, 0
+        while len(seeds) < preset.failures:
+            if drawn > 20 * preset.failures:
+                raise TrainingError(f"only {len(seeds)} of {drawn} resampled states fail like the first ones")
+            jobs = [
+                (scenario, relevant, before, first + 1000 + drawn + i) for i in range(max(batch, preset.failures // 2))
+            ]
+            for job, attempt in zip(jobs, parallel_map(_retry, jobs, context, workers), strict=True):
+                drawn += 1
+                if attempt is None:
+                    continue
+                trajectories.append(attempt.trajectory)
+                if attempt.failure and attempt.failure.skill == culprit.skill and len(seeds) < preset.failures:
+                    seeds.append(job[3])
+                progress(min(1.0, len(seeds) / preset.failures), f"{len(seeds)} failures in {drawn} worlds")
+        write_trajectories(folder.stages / "mining.jsonl", [_as_attempt(t) for t in trajectories])
+        folder.record("mine", {"tasks": len(tried), "failed": len(failures), "resampled": drawn, "kept": len(seeds)})
+        saved = {
+            "skill": culprit.skill,
+            "failure_object": culprit.failure_object.name,
+            "failure_object_type": culprit.failure_object.type.name,
+            "relevant": relevant.name,
+            "relevant_type": relevant.type.name,
+            "relevant_argument": culprit.relevant_argument,
+            "before": before.to_json(),
+            "seeds": seeds,
+            "scenario": scenario,
+        }
+        write_json(path, saved)
+    culprit = Culprit(
+        saved["skill"], TYPES[saved["failure_object_type"]](saved["failure_object"]), saved["relevant_argument"]
+    )
+    relevant = TYPES[saved["relevant_type"]](saved["relevant"])
+    return Mined(culprit, relevant, PairGaussian.from_json(saved["before"]), tuple(saved["seeds"]), saved["scenario"])
+
+
+def _as_attempt(t: Trajectory) -> Trajectory:
+    return Trajectory(t.transitions, t.goal, t.solved, "attempt")
+
+
+# -- recovery ---------------------------------------------------------------------------------------------------------
+
+
+def learn_recovery(
+    domain: Domain, folder: RunFolder, preset: Preset, mined: Mined, seed: int, workers: int, progress: Progress
+) -> tuple[Record, PairGaussian]:
+    """PPO on the mined failures, its terminal functions, and the Gaussian of states after it."""
+    weights, meta = folder.stages / "recovery.safetensors", folder.stages / "recovery.json"
+    saved = read_json(meta)
+    if saved is None:
+        rig, settings = load_rig(), RecoverySettings()
+        tasks = mined.tasks(domain)
+        net, figures = train_recovery(
+            tasks,
+            mined.relevant,
+            rig,
+            seed,
+            workers,
+            preset.ppo,
+            settings,
+            folder.stages / "ppo.safetensors",
+            lambda steps, budget, rate: progress(steps / budget, f"success {rate:.3f} after {steps // 1000} k steps"),
+        )
+        terminal_data, after = _roll_out(net, tasks, mined, rig, settings, seed, workers)
+        done, accuracy = train_terminal(*terminal_data["done"], seed)
+        failed, failed_accuracy = train_terminal(*terminal_data["failed"], seed + 1)
+        tensors = {f"policy.{k}": v for k, v in net.to_tensors().items()}
+        for name, terminal in (("terminal", done), ("failed", failed)):
+            tensors |= {f"{name}.{k}": v for k, v in terminal.to_record().tensors.items()}
+        save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, weights)
+        folder.record(
+            "recovery",
+            {
+                "curve": figures["curve"],
+                "steps": figures["curve"]["steps"][-1],
+                "terminal_accuracy": round(accuracy, 4),
+                "failure_detector_accuracy": round(failed_accuracy, 4),
+            },
+        )
+        saved = {
+            "policy": {"width": 256, "depth": 4},
+            "terminal": done.to_record().meta,
+            "failed": failed.to_record().meta,
+            "signature": ["robot", mined.relevant.type.name, mined.culprit.failure_object.type.name],
+            "failed_skill": mined.culprit.skill,
+            "after": after.to_json(),
+        }
+        write_json(meta, saved)
+    return Record({k: v for k, v in saved.items() if k != "after"}, load_file(weights)), PairGaussian.from_json(
+        saved["after"]
+    )
+
+
+def _roll_out(
+    net: ActorCritic, tasks: list[Task], mined: Mined, rig: Rig, s: RecoverySettings, seed: int, workers: int
+) -> tuple[dict[str, tuple[torch.Tensor, torch.Tensor]], PairGaussian]:
+    """States before and at the goal, on past the first success, so that beta also knows what comes after."""
+    seen, labels, relative, begun = [], [], [], []
+    with RecoveryScenes(tasks, mined.relevant, rig, 64, workers) as scenes:
+        env = RecoveryEnv(scenes, rig, s, 0.98, seed + 7, rebuild=0.5)
+        for _ in range(3):
+            env.reset(np.arange(scenes.count))
+            begun.append(view.observe(env.x))
+            reached = torch.zeros(scenes.count, dtype=torch.bool)
+            for _ in range(s.horizon):
+                with torch.no_grad():
+                    action = net.act(view.observe(env.x))
+                previous = env.x
+                env.step(action + 0.15 * torch.randn(action.shape, generator=env.random))
+                success = is_recovered(env.x, previous, s)
+                seen.append(view.observe(env.x))
+                labels.append(success)
+                for i in torch.nonzero(success & ~reached).flatten().tolist():
+                    relative.append(_relative(env.x[i].double().numpy(), mined))
+                reached |= success
+    features, done = torch.cat(seen), torch.cat(labels)
+    # The failure detector: D^F is where the skill failed, recovered states are where it would not have.
+    failure = torch.cat([features[done], *begun])
+    failed = torch.cat([torch.zeros(int(done.sum())), torch.ones(sum(map(len, begun)))])
+    return {"done": (features, done.long()), "failed": (failure, failed.long())}, PairGaussian.fit(relative)
+
+
+def _relative(x: np.ndarray, mined: Mined) -> np.ndarray:
+    from resync_robot.core.state import State
+
+    state = State({mined.relevant: x[view.BLOCK], mined.culprit.failure_object: x[view.BOX]})
+    return relative_pose(state, mined.relevant, mined.culprit.failure_object)
+
+
+def _check(context: Context, job: tuple[Mined, int]) -> tuple[bool, bool] | None:
+    """Recovery, then the skill that failed: (done as far as beta says, the failed skill's effects came true)."""
+    mined, seed = job
+    task = context.domain.scenario(mined.scenario).sample(np.random.default_rng(seed), seed)
+    world = SimWorld(task, context.rig)
+    if not is_at_rest(world):
+        return None
+    robot = next(o for o in task.objects if o.type == ROBOT)
+    recover = context.model.skill(context.domain.recovery)
+    outcome = run_skill(world, recover.ground((robot, mined.relevant, mined.culprit.failure_object)))
+    operator = next(o for o in context.model.operators if o.name == mined.culprit.skill)
+    objects = tuple(mined.relevant if v.type == mined.relevant.type else robot for v in operator.parameters)
+    run_skill(world, context.model.skill(operator.name).ground(objects))
+    holds = operator.ground(objects).add <= context.model.abstraction.true_atoms(world.perceive())
+    return outcome.done, holds
+
+
+def check_recovery(
+    domain: Domain, mined: Mined, record: Record, first_seed: int, worlds: int, workers: int, progress: Progress
+) -> dict[str, Any]:
+    """How often the recovery, then the real failed skill, succeed in fresh worlds."""
+    jobs = [(mined, first_seed + i) for i in range(worlds)]
+    results = []
+    for i, r in enumerate(parallel_map(_check, jobs, partial(make_context, domain.name, record), workers)):
+        if r is not None:
+            results.append(r)
+        progress((i + 1) / worlds, f"{sum(h for _, h in results)} of {len(results)} picked")
+    return {"worlds": len(results), "beta": sum(d for d, _ in results), "picked": sum(h for _, h in results)}
+
+
+# -- dreaming ---------------------------------------------------------------------------------------------------------
+
+CHUNK = 24
+
+
+def _dream(context: tuple[Context, dict[str, PairGaussian]], spec: DreamSpec) -> list[Trajectory]:
+    base, gaussians = context
+    return dream(spec, base.domain, gaussians, base.model, base.rig)
+
+
+def _dream_context(domain: str, record: Record, gaussians: dict[str, PairGaussian]) -> Any:
+    return make_context(domain, record), gaussians
+
+
+def dream_all(
+    domain: Domain,
+    folder: RunFolder,
+    preset: Preset,
+    record: Record,
+    gaussians: dict[str, PairGaussian],
+    seed: int,
+    workers: int,
+    progress: Progress,
+) -> list[Trajectory]:
+    """All dreams and attempts; each finished chunk is a file, so that a resumed run goes on where it was."""
+    specs = dream_specs(preset.dreams, preset.attempts, seed * TRAINING_SEEDS + 500_000)
+    predicates = {p.name: p for p in domain.predicates}
+    chunks = [specs[i : i + CHUNK] for i in range(0, len(specs), CHUNK)]
+    paths = [folder.stages / f"dreams-{i:03d}.jsonl" for i in range(len(chunks))]
+    todo = [(path, chunk) for path, chunk in zip(paths, chunks, strict=True) if not path.exists()]
+    flat = [spec for _, chunk in todo for spec in chunk]
+    stream = parallel_map(_dream, flat, partial(_dream_context, domain.name, record, gaussians), workers)
+    finished, solved, count = len(specs) - len(flat), 0, 0
+    for path, chunk in todo:
+        found: list[Trajectory] = []
+        for _ in chunk:
+            lived = next(stream)
+            found += lived
+            finished, count, solved = finished + 1, count + 1, solved + any(t.solved for t in lived)
+            progress(finished / len(specs), f"{solved} of {count} dreams solved")
+        write_trajectories(path, found)
+    trajectories = [t for p in paths for t in read_trajectories(p, TYPES, predicates)]
+    trajectories += list(read_trajectories(folder.stages / "mining.jsonl", TYPES, predicates))
+    kept, counts = useful(trajectories)
+    folder.record("dream", {"sources": counts, "trajectories": len(kept)})
+    return kept
