@@ -1,5 +1,7 @@
 """Goals as text."""
 
+from dataclasses import fields
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +15,16 @@ ON, IN, EMPTY = Predicate("On", (BLOCK, BLOCK)), Predicate("In", (BLOCK, BOX)), 
 PREDICATES = (ON, IN, EMPTY)
 B0, B1, CRATE, ARM = BLOCK("b0"), BLOCK("b1"), BOX("box"), ROBOT("robot")
 OBJECTS = (B0, B1, CRATE, ARM)
-DOMAIN = Domain("test", tuple(TYPES.values()), PREDICATES, {}, (), {})
+# Names are all that is looked up here; what a domain can do besides is left out.
+DOMAIN = Domain(
+    **{
+        **dict.fromkeys((f.name for f in fields(Domain)), None),
+        "name": "test",
+        "types": tuple(TYPES.values()),
+        "predicates": PREDICATES,
+        "scenarios": {},
+    }
+)
 ATOMS = [a for p in PREDICATES for a in p.groundings(OBJECTS)]
 
 
