@@ -21,6 +21,8 @@ OCCLUDER = 0.016
 """What is nearer than the plane by more than this hides it, m; a stud (12 mm) on the face does not."""
 BELOW = 0.006
 """What lies deeper than this is not the face but its side or the ground, m."""
+_BLUR = 0.003
+"""An edge that seems to be moved by this much is trusted half as much, m."""
 _SOFTNESS = 0.0015
 """Width of the edge of the fitted shape, m."""
 
@@ -56,16 +58,17 @@ def vote(
     Args:
         of_face: (H, W) bool, the pixels that could be the face by their label.
         outward: unit vector from the face across its edge nearest to each cell. A view that looks at an edge from
-            outside sees the wall below it too, and what of that lies within the tolerance of depth shifts the edge
-            outwards: it counts for less there.
+            outside sees the wall below it too, and what of that lies within the tolerance of depth moves the edge
+            outwards: the cell is looked up that much further out, and counts for less.
         by_depth: the label does not tell the face from what is around it, so pixels without depth say nothing.
     """
-    points = np.column_stack([cells, np.full(len(cells), plane_z)])
     total, filled = np.zeros(len(cells)), np.zeros(len(cells))
     counted = 0
     square = (round(len(cells) ** 0.5), -1)
     for view in views:
-        pixel, depth = view.project(points)
+        shift = _apparent_shift(cells, outward, view.world_T_cam[:3, 3], plane_z)
+        places = cells + shift[:, None] * outward
+        pixel, depth = view.project(np.column_stack([places, np.full(len(cells), plane_z)]))
         height, width = view.depth.shape
         u, v = pixel[:, 0].astype(np.float32), pixel[:, 1].astype(np.float32)
         inside = (depth > 0.05) & (u >= 1) & (u < width - 2) & (v >= 1) & (v < height - 2)
@@ -78,16 +81,18 @@ def vote(
         if by_depth:
             hidden |= measured == 0
         here = cv2.remap(face.astype(np.float32), u.reshape(square), v.reshape(square), cv2.INTER_LINEAR).ravel()
-        weight = np.where(inside & ~hidden, _trust(cells, outward, view.world_T_cam[:3, 3], plane_z), 0.0)
+        weight = np.where(inside & ~hidden, 1.0 / (1.0 + (shift / _BLUR) ** 2), 0.0)
         total += weight
         filled += weight * here
         counted += bool((weight * here).sum() > 0.05 * len(cells) * weight.max(initial=0.0))
     return Votes(cells, filled / np.maximum(total, 1e-9), total, counted)
 
 
-def _trust(cells: np.ndarray, outward: np.ndarray, camera: np.ndarray, plane_z: float) -> np.ndarray:
+def _apparent_shift(cells: np.ndarray, outward: np.ndarray, camera: np.ndarray, plane_z: float) -> np.ndarray:
+    """(n,) m by which an edge at each cell seems to lie further out: so far reaches, on the face's plane, what lies
+    less than BELOW under it on a vertical wall that the camera sees."""
     slope = np.maximum(0.0, np.einsum("ij,ij->i", outward, camera[:2] - cells)) / max(camera[2] - plane_z, 0.05)
-    return 1.0 / (1.0 + (BELOW * slope / 0.001) ** 2)
+    return BELOW * slope
 
 
 def outward_of_face(cells: Float[np.ndarray, "n 2"], centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, "n 2"]:

@@ -44,7 +44,7 @@ class BlockEstimate:
     Attributes:
         features, covariance: of core.vocabulary.BLOCK.
         top_z: height of the body's top face in the world, m.
-        upright: its top face is level and high enough.
+        upright: its top face is level, high enough, and bears the stud.
         stacked: it stands on another one, so that its own height is a guess.
         views: how many saw the top face.
     """
@@ -217,8 +217,15 @@ def _block(
     covariance[:7, :7] = _fitted_covariance(r, VIEW_SIGMA**2 / n, z_variance, VIEW_YAW_SIGMA**2 / n)
     covariance[7:9, 7:9] = r.sigma[3] ** 2 + 0.001**2
     covariance[9, 9] = size_z_sigma**2
-    upright = tilt < UPRIGHT_WITHIN and height >= low
+    upright = tilt < UPRIGHT_WITHIN and height >= low and _has_stud(cluster, r, top_z, catalogue)
     return BlockEstimate(name, features, covariance, top_z, upright, storeys > 1, votes.views)
+
+
+def _has_stud(cluster: np.ndarray, r: Rectangle, top_z: float, catalogue: Catalogue) -> bool:
+    """Does something of the stud's height stand on the middle of the top face? Not so on a block that lies."""
+    middle = np.hypot(cluster[:, 0] - r.x, cluster[:, 1] - r.y) < catalogue.stud_width / 2
+    high = cluster[middle, 2] > top_z + catalogue.stud_height / 2
+    return len(high) > 20 and bool(high.mean() > 0.3)
 
 
 def inside_box(xy: Float[np.ndarray, "2"], box: Float[np.ndarray, "11"]) -> bool:

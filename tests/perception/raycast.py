@@ -45,9 +45,14 @@ class Table:
         self._cuboids.append((np.array(centre), np.array(half), yaw, colour))
 
     def block(self, name: str, x: float, y: float, bottom: float, yaw: float, width: float, height: float) -> None:
+        """An upright block with its stud."""
+        self.coloured(name, (x, y, bottom + height / 2), (width / 2, width / 2, height / 2), yaw)
+        self.coloured(name, (x, y, bottom + height + 0.006), (0.012, 0.012, 0.006), yaw)
+
+    def coloured(self, name: str, centre: tuple, half: tuple, yaw: float) -> None:
+        """A cuboid in the colour of a block."""
         red, green, blue = (int(255 * c) for c in colorsys.hsv_to_rgb(self._catalogue.hues[name], 0.85, 0.8))
-        self._add((x, y, bottom + height / 2), (width / 2, width / 2, height / 2), yaw, (red, green, blue))
-        self._add((x, y, bottom + height + 0.006), (0.012, 0.012, 0.006), yaw, (red, green, blue))
+        self._add(centre, half, yaw, (red, green, blue))
 
     def picture(self, q: np.ndarray) -> CameraFrame:
         camera = self._rig.camera("wrist")

@@ -10,7 +10,8 @@ import pytest
 
 from perception.catalogue import Catalogue
 from perception.objects import SceneEstimate, SceneEstimator
-from resync_robot.core import spatial
+from perception.scan import Scan
+from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
@@ -85,10 +86,18 @@ def test_a_tower_hides_its_lower_block(rig: Rig, catalogue: Catalogue) -> None:
     assert found.glimpses["b0"].centre == pytest.approx([0.47, 0.03], abs=0.04)
 
 
-def test_a_block_in_the_hand_is_not_taken_for_one_on_the_table(rig: Rig, catalogue: Catalogue) -> None:
-    from perception.scan import Scan
-    from resync_robot.core import kinematics
+def test_a_block_that_lies_on_its_side_is_not_upright(rig: Rig, catalogue: Catalogue) -> None:
+    table = Table(rig, catalogue)
+    table.block("b1", 0.47, 0.03, FLOOR, 0.2, 0.056, 0.043)
+    table.coloured("b0", (0.46, -0.30, 0.030), (0.024, 0.030, 0.030), 0.3)
+    table.coloured("b0", (0.46 + 0.030 * np.cos(0.3), -0.30 + 0.030 * np.sin(0.3), 0.030), (0.006, 0.012, 0.012), 0.3)
+    found = SceneEstimator(rig).estimate(table.scan())
+    assert found.blocks["b1"].upright
+    assert not found.blocks["b0"].upright
+    assert found.blocks["b0"].features[:2] == pytest.approx([0.46, -0.30], abs=0.004)
 
+
+def test_a_block_in_the_hand_is_not_taken_for_one_on_the_table(rig: Rig, catalogue: Catalogue) -> None:
     scan, frames = Scan(rig), []
     for q in scan.configurations:
         tip = rig.arm.world_T_base @ kinematics.forward(q) @ rig.gripper.flange_T_tip
