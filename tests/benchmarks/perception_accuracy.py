@@ -25,7 +25,7 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.world import CameraFrame
 from sim_training.domains.cornered_insertion_s import THE_BOX, R, sample_task
 from sim_training.sensor import NoisySensor
-from sim_training.world import SimWorld, robot_features
+from sim_training.world import SimWorld
 
 Errors = dict[str, list[list[float]]]
 """Condition -> rows of [position mm, yaw deg, width mm, height mm, inside the 95 % ellipse]; NaN where not found."""
@@ -89,7 +89,7 @@ class Scene:
         self, opening: float = 0.14, at_each_view: Callable[[np.ndarray], None] | None = None
     ) -> tuple[State | None, float, tuple[str, ...]]:
         frames = self.pictures(opening, at_each_view)
-        features = robot_features(self.rig, self.scan.configurations[-1], opening)
+        features = self.rig.robot_features(self.scan.configurations[-1], opening)
         begun = time.perf_counter()
         missing: tuple[str, ...] = ()
         state = None
@@ -135,11 +135,11 @@ def measure(seed: int, errors: Errors, seconds: list[float]) -> int:
     width = float(true.get(upper, "size_x")[0])
 
     def hold(q: np.ndarray) -> None:
-        tip = robot_features(scene.rig, q, width)
+        tip = scene.rig.robot_features(q, width)
         scene.world.place(upper, tip[:7])
 
     hold(scene.rig.arm.home)
-    held_at = robot_features(scene.rig, scene.rig.arm.home, width)
+    held_at = scene.rig.robot_features(scene.rig.arm.home, width)
     scene.belief.attach(upper, held_at)
     state, spent, missing = scene.look(width, hold)
     seconds.append(spent)

@@ -13,7 +13,7 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.vocabulary import BLOCK
 from sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S, THE_BOX, R
 from sim_training.sensor import NoisySensor
-from sim_training.world import SimWorld, robot_features
+from sim_training.world import SimWorld
 
 SCENES = 10
 
@@ -38,7 +38,7 @@ def errors(rig: Rig) -> dict[str, list[np.ndarray]]:
             lambda world=world, sensor=sensor: sensor.apply(world.render("wrist")),
         )
         belief = Belief(R, THE_BOX, [o for o in task.objects if o.type == BLOCK], rig)
-        state = belief.update_from_scan(frames, robot_features(rig, scan.configurations[-1], 0.14))
+        state = belief.update_from_scan(frames, rig.robot_features(scan.configurations[-1], 0.14))
         true = world.perceive()
         for obj in (o for o in task.objects if o != R):
             error = state[obj] - true[obj]
