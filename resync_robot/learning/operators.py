@@ -141,8 +141,12 @@ def _that_exclude_failures(columns: Sequence[Column], config: OperatorConfig) ->
         return chosen
     left = np.ones(len(useful[0].failed), dtype=bool)
     everything = len(left)
+
+    def worth(column: Column) -> tuple[float, str]:
+        return (left & ~column.failed).sum() / left.sum() - (~column.before).mean(), str(column.atom)
+
     while left.any():
-        best = max(useful, key=lambda c: (int((left & ~c.failed).sum()), -(~c.before).mean(), str(c.atom)))
+        best = max(useful, key=worth)
         ruled_out = left & ~best.failed
         # Of all failures first, then of those that remain; a handful that remain prove nothing.
         if ruled_out.sum() <= config.excludes_failures * left.sum() or ruled_out.sum() < 0.05 * everything:

@@ -1,8 +1,9 @@
 """Which concepts to keep: hill climbing on how well planning with them explains the data (J).
 
 Default J, in per cent: how far the first plan is from each demonstration, no plan being as far as can be, plus the
-share of failed attempts that the operators still allow. Nodes are counted but buy nothing: an improvement that only
-saves nodes picks junk such as "was picked before". The published J weighs node counts over several plans.
+shares of failed attempts that the operators allow and of successful ones that they forbid. Nodes are counted but buy
+nothing: an improvement that only saves nodes picks junk such as "was picked before". The published J weighs node
+counts over several plans.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Variable
-from resync_robot.learning.dataset import ATTEMPT, Dataset
+from resync_robot.learning.dataset import ATTEMPT, Dataset, Step
 from resync_robot.learning.effects import Candidate
 from resync_robot.learning.fit import Fit
 from resync_robot.learning.operators import Evidence, OperatorConfig, learn_operator
@@ -88,6 +89,7 @@ class Score:
     operators: tuple[Operator, ...]
     plan_error: float
     failures_allowed: float
+    successes_forbidden: float
     nodes: float
 
 
@@ -130,6 +132,7 @@ class Selector:
         # A single attempt aims at no goal, so it shows no way to one.
         self.demonstrations = [r for r in dataset.runs if r.solved and r.steps and r.source != ATTEMPT]
         self.failures = [s for r in dataset.runs for s in r.failures]
+        self.successes = [s for r in dataset.runs for s in r.steps]
         self._memory: dict[tuple[Operator, ...], dict[tuple[object, ...], tuple[Plan, ...]]] = {}
         self._grounded: dict[tuple[Operator, tuple[Object, ...]], Atoms] = {}
 
@@ -157,17 +160,19 @@ class Selector:
             demonstrated = tuple((s.skill, s.objects) for s in run.steps)
             costs.append(self._cost(found, demonstrated))
             nodes.append(found[0].nodes_created if found else self.config.max_nodes)
-        by_name = {op.name: op for op in operators}
-        allowed = [
-            self._preconditions(by_name[s.skill], s.objects) <= self._atoms(s.before, concepts)
-            for s in self.failures
-            if s.skill in by_name
-        ]
         error = float(np.mean(costs)) if costs else self.config.penalty
-        share = float(np.mean(allowed)) if allowed else 0.0
-        counts_failures = self.operator_config.use_failures
-        j = error + (self.config.penalty * share if counts_failures else 0.0)
-        return Score(j, operators, error, share, float(np.mean(nodes)) if nodes else 0.0)
+        allowed = self._share_applicable(operators, self.failures, concepts)
+        forbidden = 1.0 - self._share_applicable(operators, self.successes, concepts)
+        j = error + (self.config.penalty * (allowed + forbidden) if self.operator_config.use_failures else 0.0)
+        return Score(j, operators, error, allowed, forbidden, float(np.mean(nodes)) if nodes else 0.0)
+
+    def _share_applicable(
+        self, operators: Sequence[Operator], steps: Sequence[Step], concepts: Sequence[Concept]
+    ) -> float:
+        by_name = {op.name: op for op in operators}
+        known = [s for s in steps if s.skill in by_name]
+        met = [self._preconditions(by_name[s.skill], s.objects) <= self._atoms(s.before, concepts) for s in known]
+        return float(np.mean(met)) if met else 0.0
 
     def _atoms(self, moment: int, concepts: Sequence[Concept]) -> Atoms:
         return self.given[moment].union(*(k.truth[moment] for k in concepts))
@@ -265,5 +270,6 @@ def _entry(name: str, score: Score) -> dict[str, object]:
         "J": round(score.j, 3),
         "plan_error": round(score.plan_error, 3),
         "failures_allowed": round(score.failures_allowed, 4),
+        "successes_forbidden": round(score.successes_forbidden, 4),
         "nodes": round(score.nodes, 1),
     }

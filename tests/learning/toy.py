@@ -6,15 +6,14 @@ a recovery pushes the block `recovered` m clear of every wall. The rules see tru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from resync_robot.core.spatial import quat_from_yaw, yaw_of
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, Predicate, Variable
-from resync_robot.core.task import Domain
+from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, Predicate, Type, Variable
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT, TYPES
 from resync_robot.learning.features import in_box, perturb
@@ -33,6 +32,18 @@ INSERT = Operator(
 )
 RECOVERY = ("Recover", (ROBOT, BLOCK, BOX))
 ROBOT_0, BOX_0 = ROBOT("robot"), BOX("box")
+
+
+@dataclass(frozen=True)
+class Given:
+    """The part of a domain that concept learning reads."""
+
+    name: str
+    types: tuple[Type, ...]
+    predicates: tuple[Predicate, ...]
+    classifiers: Mapping[str, Callable[[State, tuple[Object, ...]], float]]
+    operators: tuple[Operator, ...]
+
 
 SIZE, HEIGHT = 0.06, 0.045
 INNER, WALL_Z, WALL = 0.30, 0.11, 0.03
@@ -53,13 +64,12 @@ def _on(state: State, args: tuple[Object, ...]) -> float:
     return float(np.linalg.norm(a[:2] - b[:2]) < 0.02 and abs(a[2] - b[2] - HEIGHT) < 0.015)
 
 
-DOMAIN = Domain(
+DOMAIN = Given(
     "toy-insertion",
     tuple(TYPES.values()),
     (HAND_EMPTY, HOLDING, ON),
     {"HandEmpty": _hand_empty, "Holding": _holding, "On": _on},
     (PICK, INSERT),
-    {},
 )
 
 
@@ -112,7 +122,7 @@ class Toy:
                     break
             taken.append(p)
             c, s = np.cos(yaw), np.sin(yaw)
-            world = np.array(box[:2]) + [c * p[0] - s * p[1], s * p[0] + c * p[1]]
+            world = np.array(box[:2]) + np.array([c * p[0] - s * p[1], s * p[0] + c * p[1]])
             features[BLOCK(f"b{i}")] = np.array([*world, HEIGHT / 2, *quat_from_yaw(yaw + turn), SIZE, SIZE, HEIGHT])
         return State(features)
 
@@ -147,7 +157,9 @@ class Toy:
             base = objects[2]
             if block not in held or base in covered or self.gap(state, base) < self.insert_gap:
                 return state, False
-            return self._move(state, {block: state[base][:3] + [0, 0, HEIGHT]}, OPEN, yaw_of(state[base][3:7])), True
+            return self._move(
+                state, {block: state[base][:3] + np.array([0, 0, HEIGHT])}, OPEN, yaw_of(state[base][3:7])
+            ), True
         if held or block in covered:
             return state, False
         box = state[objects[2]]
@@ -163,7 +175,7 @@ class Toy:
                 break
         yaw = yaw_of(box[3:7])
         c, s = np.cos(yaw), np.sin(yaw)
-        world = box[:2] + [c * goal[0] - s * goal[1], s * goal[0] + c * goal[1]]
+        world = box[:2] + np.array([c * goal[0] - s * goal[1], s * goal[0] + c * goal[1]])
         turn = yaw + heading[0] + self.rng.normal(0, 0.1)
         return self._move(state, {block: np.array([*world, HEIGHT / 2])}, OPEN, turn), True
 
@@ -230,19 +242,22 @@ class Toy:
             )
         return result
 
-    def attempts(self, count: int) -> list[Trajectory]:
-        """Single tries of Pick and Insert, spread over the ways a block can lie."""
+    def attempts(self, count: int, covered: bool = True) -> list[Trajectory]:
+        """Single tries of Pick and Insert, spread over the ways a block can lie, under another block included."""
         result = []
+        b = [BLOCK(f"b{i}") for i in range(3)]
+        kinds = ["corner", "gap", "gap", "wall", "free", "outside", *(["covered"] if covered else [])]
+        insert = [("Pick", (ROBOT_0, b[0])), ("Insert", (ROBOT_0, b[0], b[1]))]
         for n in range(count):
-            kind = ["corner", "gap", "gap", "wall", "free", "outside"][n // 2 % 6]
-            if n % 2:
-                state = self.scene(2, lambda i, k=kind: k if i == 0 else "free")
-                tries = [("Pick", (ROBOT_0, BLOCK("b0")))]
+            kind = kinds[n // 2 % len(kinds)]
+            tried = int(n % 2 == 0)
+            state = self.scene(3, lambda i, k=kind, t=tried: k if i == t and k != "covered" else "free")
+            if kind == "covered":
+                last = ("Pick", (ROBOT_0, b[1])) if n % 2 else ("Insert", (ROBOT_0, b[2], b[1]))
+                tries = [*insert, last] if n % 2 else [*insert, ("Pick", (ROBOT_0, b[2])), last]
             else:
-                state = self.scene(2, lambda i, k=kind: k if i == 1 else "free")
-                tries = [("Pick", (ROBOT_0, BLOCK("b0"))), ("Insert", (ROBOT_0, BLOCK("b0"), BLOCK("b1")))]
-            goal = frozenset({ON(BLOCK("b0"), BLOCK("b1"))})
-            result.append(self.record(state, tries, goal, "attempt"))
+                tries = insert[:1] if n % 2 else insert
+            result.append(self.record(state, tries, frozenset({ON(b[0], b[1])}), "attempt"))
         return result
 
     # Tests
