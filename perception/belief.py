@@ -202,7 +202,11 @@ class Belief:
             return
         known = self._known[self._held]
         pose = spatial.features_from_pose(world_T_tip @ self._tip_T_held)
-        self._known[self._held] = replace(known, features=np.concatenate([pose, known.features[7:]]))
+        covariance = known.covariance.copy()
+        covariance[:7, :7] = upright_covariance(np.diag(covariance)[:3], yaw_variance_of(covariance), pose[3:7])
+        self._known[self._held] = replace(
+            known, features=np.concatenate([pose, known.features[7:]]), covariance=covariance
+        )
 
     def _take(self, block: Object, estimate: BlockEstimate) -> None:
         before = self._known.get(block)
