@@ -102,6 +102,10 @@ class Robot(Device, Protocol):
         """
         ...
 
+    def limit_effort(self, limit: tuple[float, ...] | None) -> None:
+        """Cap the joint torques at (6,) N m; None restores the arm's own limits."""
+        ...
+
 
 class Gripper(Device, Protocol):
     """A two-finger gripper."""

@@ -37,6 +37,10 @@ class Physics(Protocol):
         """q (rad), qd (rad/s), opening (m), force of the world on the hand (N, world frame)."""
         ...
 
+    def limit_effort(self, limit: tuple[float, ...] | None) -> None:
+        """Cap the arm's joint torques (N m); None restores its own limits."""
+        ...
+
     def render(self, camera: str) -> CameraFrame:
         """A picture from the camera of that name."""
         ...
@@ -107,6 +111,10 @@ class SimRobot(Connected):
             self._physics.drive(q, self.gripper.request)
             self._physics.step()
             self._measured = None
+
+    def limit_effort(self, limit: tuple[float, ...] | None) -> None:
+        self._require_connection()
+        self._physics.limit_effort(limit)
 
     def _require_connection(self) -> None:
         if not self._connected:

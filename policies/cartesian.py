@@ -70,7 +70,7 @@ class Hand:
         self._base_T_world = spatial.inverse(rig.arm.world_T_base)
         self._tip_T_flange = spatial.inverse(rig.gripper.flange_T_tip)
         self._q = first.arm.copy()
-        tip = rig.arm.world_T_base @ kinematics.forward(first.arm) @ rig.gripper.flange_T_tip
+        tip = rig.tip_pose(first.arm)
         self.position = tip[:3, 3].copy()
         self.yaw = float(np.arctan2(tip[1, 0], tip[0, 0]))
         self.opening = first.opening
@@ -94,7 +94,7 @@ class Hand:
         begin, goal = self.position.copy(), np.array([x, y, z], dtype=np.float64)
         yaw_begin, turn = self.yaw, float(spatial.wrap(yaw - self.yaw))
         # A cosine profile's mean speed is its peak over pi/2.
-        seconds = max(np.linalg.norm(goal - begin) / speed, abs(turn) / YAW_SPEED) * np.pi / 2
+        seconds = max(float(np.linalg.norm(goal - begin)) / speed, abs(turn) / YAW_SPEED) * np.pi / 2
         steps = max(1, int(np.ceil(seconds / self.period)))
         at_rest = self.last.tip_force
         for i in range(1, steps + 1):
@@ -146,8 +146,7 @@ class Hand:
             self.last = yield self.target()
 
     def _tip(self) -> np.ndarray:
-        tip = self.rig.arm.world_T_base @ kinematics.forward(self.last.arm) @ self.rig.gripper.flange_T_tip
-        return tip[:3, 3].copy()
+        return self.rig.tip_pose(self.last.arm)[:3, 3].copy()
 
     def _guard(self, at_rest: np.ndarray, max_force: float) -> None:
         away = float(np.linalg.norm(self._tip() - self.position))

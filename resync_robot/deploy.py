@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from resync_robot.core.errors import ResyncError
+from resync_robot.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from resync_robot.core.library import Library
+    from resync_robot.core.rig import Rig
+    from resync_robot.core.task import Domain, Task
+    from resync_robot.planning.execute import Model, Result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,14 +55,116 @@ class DeployConfig:
     rig: Path | None = None
     """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
 
-    verbose: bool = False
-    """Log at debug level."""
+
+SHIPPED = Path(__file__).parent / "shipped"
+"""The library that comes with the program."""
 
 
-def deploy(config: DeployConfig) -> None:
+def deploy(config: DeployConfig) -> int:
     """Run the episodes of `config`, each recorded whether it succeeds or not.
+
+    Returns:
+        0 when every episode reached its goal, else 3.
 
     Raises:
         ResyncError: bad input, or a machine that cannot be used.
     """
-    raise ResyncError("not built yet")
+    from resync_robot.core.library import load_library
+    from resync_robot.core.rig import load_rig
+    from resync_robot.knowledge import learned_model
+    from resync_robot.progress import say
+    from resync_robot.run_folder import RunFolder, default_folder
+    from sim_training.domains import find_domain
+
+    if config.backend != "sim":
+        raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
+    if config.episodes < 1:
+        raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
+    domain, rig = find_domain(config.domain), load_rig(config.rig)
+    domain.scenario(config.scenario)
+    library = load_library(config.library or SHIPPED)
+    model = learned_model(domain, rig, library)
+    tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
+    folder = RunFolder(config.out or default_folder("deploy"))
+    say(
+        "Poses from the wrist camera (RGB-D with simulated noise)."
+        if config.perception == "camera"
+        else "Poses from the simulator (--perception oracle)."
+    )
+    say(
+        f"{domain.recovery} follows its block through the simulator's state while it runs; everything else is estimated."
+    )
+    succeeded = 0
+    for i, task in enumerate(tasks):
+        path = folder.path / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
+        result, reached = _episode(config, rig, library, model, task, path)
+        succeeded += reached
+        verdict = "goal reached" if reached else f"failed ({result.end.value}: {result.reason})"
+        say(f"Episode {i + 1}/{len(tasks)}: {verdict}; {len(result.transitions)} skills. Recording: {path}")
+    say(f"{succeeded} of {len(tasks)} episodes reached the goal. Review one:  resync-robot review {path}")
+    return 0 if succeeded == len(tasks) or config.dry_run else 3
+
+
+def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
+    from dataclasses import replace
+
+    from resync_robot.evaluate import world_task
+
+    task = world_task(domain, config.scenario, config.seed, seed - config.seed)
+    return task if config.goal is None else replace(task, goal=domain.parse_goal(config.goal, task.objects))
+
+
+def _episode(
+    config: DeployConfig, rig: Rig, library: Library, model: Model, task: Task, path: Path
+) -> tuple[Result, bool]:
+    from resync_robot import __version__
+    from resync_robot.backends import open_simulated
+    from resync_robot.core.episode import EpisodeMeta
+    from resync_robot.core.episode_writer import EpisodeWriter
+    from resync_robot.deployed_world import DeployedWorld, OracleWorld
+    from resync_robot.planning.execute import plan_f
+    from resync_robot.progress import say
+    from resync_robot.recorder import Recorder
+
+    goal = ", ".join(map(str, sorted(task.goal)))
+    meta = EpisodeMeta.of(
+        rig,
+        library_hash=library.content_hash,
+        domain=config.domain,
+        scenario=config.scenario,
+        goal=goal,
+        seed=task.seed,
+        backend=config.backend,
+        versions={"resync-robot": __version__},
+    )
+    with EpisodeWriter(path, meta) as writer, open_simulated(task, rig) as devices:
+        standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"]
+        recorder = Recorder(
+            writer,
+            lambda: devices.world.time,
+            devices.truth,
+            lambda: [c.capture() for c in standing],
+            confirm=lambda step: _may_run(config, str(step)),
+            tell=say,
+        )
+        kind = DeployedWorld if config.perception == "camera" else OracleWorld
+        world = kind(devices.robot, devices.cameras["wrist"], rig, task.objects, devices.truth, recorder.on_scan)
+        world.stream.recorders.append(recorder.on_stream)
+
+        say(f"Goal: {goal}")
+        result = plan_f(world, model, task.goal, listener=recorder)
+        reached = result.success and task.goal <= model.abstraction.true_atoms(devices.truth())
+    return result, reached
+
+
+def _may_run(config: DeployConfig, step: str) -> bool:
+    if config.dry_run:
+        return False
+    if not config.confirm:
+        return True
+    try:
+        return input(f"Run {step}? [y/N] ").strip().lower() in ("y", "yes")
+    except EOFError:
+        raise ConfigError(
+            "--confirm asks before each step, and there is no terminal to answer", "drop --confirm"
+        ) from None

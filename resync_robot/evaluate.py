@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from resync_robot.core.errors import ResyncError
+from resync_robot.core.errors import ConfigError, UnknownNameError
+
+if TYPE_CHECKING:
+    from resync_robot.core.rig import Rig
+    from resync_robot.core.task import Domain, Task
+    from resync_robot.planning.execute import Model, Reaction
+
+METHODS = ("resync", "rc", "initial")
+EVALUATION_WORLDS = 2**62
+"""Entropy that sets the worlds of evaluation apart from every training seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +31,7 @@ class EvaluateConfig:
     """Library folders, one for each training seed. Default: the shipped one."""
 
     methods: tuple[str, ...] = ("resync",)
-    """Methods to compare, separated by spaces or commas: resync, initial, rc, human."""
+    """Methods to compare, separated by spaces or commas: resync, initial, rc."""
 
     scenarios: tuple[str, ...] = ("all",)
     """Scenarios, separated by spaces or commas: all, train, test, or names such as s0 s1."""
@@ -34,8 +45,8 @@ class EvaluateConfig:
     perception: Literal["camera", "oracle"] = "oracle"
     """Where poses come from: RGB-D pictures, or the simulator's own state."""
 
-    skills: Literal["state", "camera"] = "state"
-    """What the learned skills see: estimated or simulated poses, or pictures."""
+    skills: Literal["state"] = "state"
+    """What the learned skills see while they run: the simulator's state of the objects."""
 
     workers: int = 2
     """Simulation processes."""
@@ -43,11 +54,33 @@ class EvaluateConfig:
     json: Path | None = None
     """File for the rows, the summary and the provenance."""
 
-    out: Path | None = None
-    """Folder for the recordings of every episode. Default: none are kept."""
 
-    verbose: bool = False
-    """Log at debug level."""
+@dataclass(frozen=True)
+class Job:
+    """One episode to run."""
+
+    library: int
+    method: str
+    scenario: str
+    seed: int
+    episode: int
+
+
+@dataclass(frozen=True)
+class Row:
+    """How it went. `planning_s` and `grounding_s` are the slowest of the episode, `scan_s` the computing of a scan."""
+
+    library: int
+    method: str
+    scenario: str
+    seed: int
+    episode: int
+    success: bool
+    end: str
+    reason: str
+    skills: int
+    planning_s: float
+    seconds: float
 
 
 def evaluate(config: EvaluateConfig) -> None:
@@ -56,4 +89,170 @@ def evaluate(config: EvaluateConfig) -> None:
     Raises:
         ResyncError: bad input, or a library that cannot be used.
     """
-    raise ResyncError("not built yet")
+    from resync_robot.core.library import load_library
+    from resync_robot.deploy import SHIPPED
+    from resync_robot.progress import Stages, say
+    from resync_robot.run_folder import git_hash, write_json
+    from sim_training.domains import find_domain
+    from sim_training.parallel import parallel_map
+
+    domain = find_domain(config.domain)
+    methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
+    if config.episodes < 1:
+        raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
+    paths = config.library or (SHIPPED,)
+    hashes = [load_library(path).content_hash for path in paths]
+    jobs = [
+        Job(library, method, scenario, seed, episode)
+        for scenario in scenarios
+        for method in methods
+        for library in range(len(paths))
+        for seed in config.seeds
+        for episode in range(config.episodes)
+    ]
+    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception)
+    rows: list[Row] = []
+    with Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
+        for row in parallel_map(_run, jobs, context, config.workers):
+            rows.append(row)
+            wins = sum(r.success for r in rows)
+            progress(len(rows) / len(jobs), f"{wins} of {len(rows)} episodes reached their goal")
+    say(table(rows, methods, scenarios))
+    if config.json:
+        provenance = {
+            "git": git_hash(),
+            "libraries": hashes,
+            "perception": config.perception,
+            "skills": config.skills,
+            "seeds": list(config.seeds),
+            "episodes": config.episodes,
+        }
+        write_json(config.json, {"provenance": provenance, "rows": [vars(r) for r in rows]})
+
+
+def world_task(domain: Domain, scenario: str, seed: int, episode: int) -> Task:
+    """The world of one evaluation episode: a pure function of its arguments, drawn apart from all training."""
+    import numpy as np
+
+    place = list(domain.scenarios).index(scenario)
+    rng = np.random.default_rng([EVALUATION_WORLDS % 2**32, place, seed, episode])
+    return domain.scenario(scenario).sample(rng, int(rng.integers(2**31)))
+
+
+def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
+    """The 95 % confidence interval of a rate (Wilson 1927), which behaves at 0 and 1 as well."""
+    if trials == 0:
+        return 0.0, 1.0
+    rate, n = successes / trials, trials
+    centre, half = rate + z * z / (2 * n), z * ((rate * (1 - rate) + z * z / (4 * n)) / n) ** 0.5
+    return max(0.0, (centre - half) / (1 + z * z / n)), min(1.0, (centre + half) / (1 + z * z / n))
+
+
+def table(rows: Sequence[Row], methods: Sequence[str], scenarios: Sequence[str]) -> str:
+    """Success by method and scenario with 95 % intervals, as markdown."""
+    lines = ["| method | " + " | ".join(scenarios) + " |", "|---" * (len(scenarios) + 1) + "|"]
+    for method in methods:
+        cells = []
+        for scenario in scenarios:
+            mine = [r.success for r in rows if (r.method, r.scenario) == (method, scenario)]
+            low, high = wilson(sum(mine), len(mine))
+            cells.append(f"{sum(mine) / len(mine):.2f} [{low:.2f}, {high:.2f}] of {len(mine)}")
+        lines.append(f"| {method} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _methods(given: Sequence[str]) -> tuple[str, ...]:
+    names = tuple(n for g in given for n in g.split(",") if n)
+    for name in names:
+        if name not in METHODS:
+            raise UnknownNameError("method", name, METHODS)
+    return names
+
+
+def _scenarios(given: Sequence[str], domain: Domain) -> tuple[str, ...]:
+    names: list[str] = []
+    for name in (n for g in given for n in g.split(",") if n):
+        wanted = {"all": (True, False), "train": (True,), "test": (False,)}.get(name)
+        if wanted is None:
+            names.append(domain.scenario(name).name)
+        else:
+            names += [s.name for s in domain.scenarios.values() if s.training in wanted]
+    return tuple(dict.fromkeys(names))
+
+
+@dataclass(frozen=True)
+class _Context:
+    domain: Domain
+    rig: Rig
+    perception: str
+    models: dict[tuple[int, str], tuple[Model, Reaction | None]]
+
+
+def _context(domain_name: str, paths: tuple[str, ...], perception: str) -> _Context:
+    from resync_robot.baselines.recovery_chaining import RecoveryChaining
+    from resync_robot.core.library import load_library
+    from resync_robot.core.rig import load_rig
+    from resync_robot.knowledge import initial_model, learned_model, model_with_recovery
+    from sim_training.domains import find_domain
+
+    domain, rig = find_domain(domain_name), load_rig()
+    models: dict[tuple[int, str], tuple[Model, Reaction | None]] = {}
+    for i, path in enumerate(paths):
+        library = load_library(Path(path))
+        record = library.skills[domain.recovery]
+        with_skill = model_with_recovery(domain, rig, record)
+        models[i, "resync"] = learned_model(domain, rig, library), None
+        models[i, "rc"] = with_skill, RecoveryChaining(with_skill.skill(domain.recovery), record)
+        models[i, "initial"] = initial_model(domain, rig), None
+    return _Context(domain, rig, perception, models)
+
+
+def _run(context: _Context, job: Job) -> Row:
+    import time
+
+    from resync_robot.planning.execute import plan_f
+    from sim_training.mine import is_at_rest
+    from sim_training.world import SimWorld
+
+    model, reaction = context.models[job.library, job.method]
+    begun = time.monotonic()
+    # A scene that does not stand still is not a task; the next one takes its place.
+    for attempt in range(20):
+        task = world_task(context.domain, job.scenario, job.seed, job.episode + 1_000_000 * attempt)
+        world = SimWorld(task, context.rig)
+        if is_at_rest(world):
+            break
+    if context.perception == "oracle":
+        result = plan_f(world, model, task.goal, reaction=reaction)
+        reached = result.success
+    else:
+        from resync_robot.backends import open_simulated
+        from resync_robot.core.errors import PerceptionError
+        from resync_robot.deployed_world import DeployedWorld
+
+        with open_simulated(task, context.rig) as devices:
+            seen = DeployedWorld(devices.robot, devices.cameras["wrist"], context.rig, task.objects, devices.truth)
+            try:
+                result = plan_f(seen, model, task.goal, reaction=reaction)
+            except PerceptionError as error:
+                spent = time.monotonic() - begun
+                return Row(
+                    **vars(job),
+                    success=False,
+                    end="perception",
+                    reason=error.what,
+                    skills=0,
+                    planning_s=0.0,
+                    seconds=spent,
+                )
+            # What the robot believes at the end does not count; what is true does.
+            reached = task.goal <= model.abstraction.true_atoms(devices.truth())
+    return Row(
+        **vars(job),
+        success=reached,
+        end=result.end.value,
+        reason=result.reason,
+        skills=len(result.transitions),
+        planning_s=max((p.seconds for p in result.plans), default=0.0),
+        seconds=time.monotonic() - begun,
+    )

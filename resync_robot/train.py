@@ -45,9 +45,6 @@ class TrainConfig:
     workers: int = 2
     """Simulation processes, for --device cpu."""
 
-    verbose: bool = False
-    """Log at debug level."""
-
 
 def train(config: TrainConfig) -> None:
     """Run every stage of `config` that its run folder does not hold yet, and save the library.

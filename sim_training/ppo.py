@@ -104,7 +104,7 @@ class RecoveryEnv:
         return q + 2 * np.pi * np.round((home - q) / (2 * np.pi))
 
     def _read(self, which: np.ndarray) -> Tensor:
-        tip = self.rig.arm.world_T_base @ kinematics.forward(self.scenes.joints[which]) @ self.rig.gripper.flange_T_tip
+        tip = self.rig.tip_pose(self.scenes.joints[which])
         x = self._failures[self.task_index[which]].clone()
         x[:, view.TIP] = torch.as_tensor(tip[:, :3, 3], dtype=torch.float32)
         x[:, view.COMMANDED] = self.commanded[which]
@@ -234,7 +234,8 @@ def _collect(
             log_probs = list(_log_prob(torch.stack(actions), means, std))
     with torch.no_grad():
         next_value = net.value(view.observe(env.x))
-    advantage, advantages = torch.zeros_like(next_value), []
+    advantages: list[Tensor] = []
+    advantage = torch.zeros_like(next_value)
     for t in reversed(range(s.steps)):
         going_on = (~ends[t]).float()
         delta = rewards[t] + s.gamma * (next_value * going_on + bootstraps[t]) - values[t]

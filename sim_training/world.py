@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from sapien import Pose
 
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import kinematics
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
@@ -56,8 +56,6 @@ class SimWorld:
         self.robot_object = next(o for o in task.objects if o.type == ROBOT)
         self._blocks = [o for o in task.objects if o.type == BLOCK]
         self._torque = np.asarray(TORQUE)
-        self._world_T_base = rig.arm.world_T_base
-        self._flange_T_tip = rig.gripper.flange_T_tip
         self._target = JointTarget(rig.arm.home.copy(), rig.gripper.max_opening)
         self._hooks: list[Callable[[SimWorld], None]] = []
         self.built.set_configuration(self._target.arm, self._target.opening)
@@ -109,7 +107,7 @@ class SimWorld:
 
     def state(self, q: np.ndarray, opening: float) -> State:
         features = {o: self.task.initial[o] for o in self.task.objects}
-        features[self.robot_object] = robot_features(self.rig, q, opening)
+        features[self.robot_object] = self.rig.robot_features(q, opening)
         for obj in self._blocks:
             pose = self.built.rigid[obj].entity_pose
             features[obj] = np.concatenate([features_of(pose), self.task.initial[obj][7:]])
@@ -174,12 +172,6 @@ class SimWorld:
         jacobian = tip_jacobian(self.rig, q)
         wrench, *_ = np.linalg.lstsq(jacobian.T, -effort, rcond=1e-3)
         return wrench[:3]
-
-
-def robot_features(rig: Rig, q: np.ndarray, opening: float) -> np.ndarray:
-    """(8,) features of the robot: pose of the tip in the world and the opening."""
-    tip = rig.arm.world_T_base @ kinematics.forward(q) @ rig.gripper.flange_T_tip
-    return np.concatenate([spatial.features_from_pose(tip), [opening]])
 
 
 def tip_jacobian(rig: Rig, q: np.ndarray) -> np.ndarray:

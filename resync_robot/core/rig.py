@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from resync_robot.core import spatial
+from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import ConfigError, UnknownNameError
 
 
@@ -76,6 +77,14 @@ class Rig:
     gripper: GripperRig
     cameras: tuple[CameraRig, ...]
     hash: str
+
+    def tip_pose(self, q: Float[np.ndarray, "*b 6"]) -> Float[np.ndarray, "*b 4 4"]:
+        """world_T_tip at (..., 6) joint positions in rad."""
+        return self.arm.world_T_base @ kinematics.forward(q) @ self.gripper.flange_T_tip
+
+    def robot_features(self, q: Float[np.ndarray, "6"], opening: float) -> Float[np.ndarray, "8"]:
+        """The robot's features in a state: pose of the tip in the world, and the opening in m."""
+        return np.concatenate([spatial.features_from_pose(self.tip_pose(q)), [opening]])
 
     def camera(self, name: str) -> CameraRig:
         for camera in self.cameras:

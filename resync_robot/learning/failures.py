@@ -72,7 +72,7 @@ def find_culprit(failures: Sequence[Failure], ignored: frozenset[Object]) -> Cul
     (skill, obj), _ = blamed.most_common(1)[0]
     example = next(f for f in failures if f.skill == skill and obj in f.contacts)
     distance = [
-        np.linalg.norm(example.state[o][:2] - example.state[obj][:2]) if o not in ignored else np.inf
+        float(np.linalg.norm(example.state[o][:2] - example.state[obj][:2])) if o not in ignored else np.inf
         for o in example.objects
     ]
     return Culprit(skill, obj, int(np.argmin(distance)))

@@ -1,0 +1,124 @@
+"""Writes what happens in an episode of Plan_f into its recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import cv2
+import numpy as np
+
+from hardware.base import Command, RobotState
+from resync_robot.core.episode import EventKind
+from resync_robot.core.episode_writer import EpisodeWriter
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.skill import GroundSkill, Outcome
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atom, GroundOperator
+from resync_robot.core.world import CameraFrame, Observation
+from resync_robot.planning.execute import End, Listener
+from resync_robot.planning.search import Plan
+
+CLOUD_POINTS = 6000
+
+
+class Recorder(Listener):
+    """Subscribes to the executive, the stream and the scans of one episode.
+
+    Args:
+        clock: seconds on the robot's clock now.
+        truth: the simulator's own state, recorded under that name for comparison; None on a real robot.
+        look: pictures to keep once every `look_every` seconds, from the cameras that stand around.
+        confirm: asked before each step.
+        tell: called with a line for people at every plan and skill.
+    """
+
+    def __init__(
+        self,
+        writer: EpisodeWriter,
+        clock: Callable[[], float],
+        truth: Callable[[], State] | None = None,
+        look: Callable[[], Sequence[CameraFrame]] | None = None,
+        look_every: float = 1.0,
+        confirm: Callable[[GroundOperator], bool] = lambda step: True,
+        tell: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        self._writer, self._clock, self._truth, self._confirm = writer, clock, truth, confirm
+        self._look, self._look_every, self._next_look = look, look_every, 0.0
+        self._steps: tuple[GroundOperator, ...] = ()
+        self._reason = ""
+        self._tell = tell
+
+    def on_stream(self, state: RobotState, command: Command) -> None:
+        """Measured, requested and sent joints, at the stream's recording rate."""
+        w = self._writer
+        w.joints(state.time, state.q, state.qd, state.opening, command.sent, command.requested)
+        w.tip_force(state.time, state.tip_force)
+        if self._look and state.time >= self._next_look:
+            self._next_look = state.time + self._look_every
+            for frame in self._look():
+                self._picture(frame)
+            if self._truth:
+                w.truth(state.time, self._truth())
+
+    def on_scan(self, frames: Sequence[CameraFrame], state: State) -> None:
+        now = self._clock()
+        self._writer.event(now, EventKind.SCAN, f"{len(frames)} views")
+        for frame in frames:
+            self._picture(frame)
+        xyz, rgb = cloud(frames)
+        self._writer.points(now, xyz, rgb)
+
+    def on_perceived(self, state: State, atoms: Mapping[Atom, float]) -> None:
+        now = self._clock()
+        self._writer.state(now, state)
+        self._writer.atoms(now, atoms)
+        if self._truth:
+            self._writer.truth(now, self._truth())
+
+    def on_plan(self, plan: Plan, reason: str) -> None:
+        if self._reason or self._steps:
+            self._writer.event(self._clock(), EventKind.REPLAN, reason)
+        self._steps, self._reason = plan.steps, reason
+        self._writer.plan(self._clock(), plan.steps, None, reason)
+        self._tell(f"  plan ({reason}): {plan}")
+
+    def on_step_of_plan(self, index: int) -> None:
+        self._writer.plan(self._clock(), self._steps, index, self._reason)
+
+    def on_skill_start(self, skill: GroundSkill) -> None:
+        self._writer.event(self._clock(), EventKind.SKILL_START, str(skill))
+
+    def on_control(self, observation: Observation, target: JointTarget) -> None:
+        pass
+
+    def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
+        words = f"{skill}: {outcome.ending.value}" + (f", {outcome.reason}" if outcome.reason else "")
+        self._writer.event(self._clock(), EventKind.SKILL_END, words, ending=outcome.ending.value)
+        self._tell(f"  {words}")
+
+    def on_end(self, end: End, reason: str) -> None:
+        kind = {End.GOAL: EventKind.GOAL, End.STOPPED: EventKind.STOP}.get(end, EventKind.GIVE_UP)
+        self._writer.event(self._clock(), kind, reason or end.value)
+
+    def confirm(self, step: GroundOperator) -> bool:
+        return self._confirm(step)
+
+    def _picture(self, frame: CameraFrame) -> None:
+        _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(frame.colour, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 88])
+        _, png = cv2.imencode(".png", frame.depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        self._writer.picture(frame, jpeg.tobytes(), png.tobytes())
+
+
+def cloud(frames: Sequence[CameraFrame]) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 3) points in the world in m and (n, 3) uint8 colours, thinned evenly over the pictures."""
+    points, colours = [], []
+    for frame in frames:
+        v, u = np.nonzero(frame.depth)
+        keep = slice(None, None, max(1, len(v) * len(frames) // CLOUD_POINTS))
+        v, u = v[keep], u[keep]
+        z = frame.depth[v, u] * CameraFrame.DEPTH_UNIT_M
+        k = frame.intrinsics
+        local = np.stack([(u - k[0, 2]) / k[0, 0] * z, (v - k[1, 2]) / k[1, 1] * z, z], -1)
+        points.append(local @ frame.world_T_cam[:3, :3].T + frame.world_T_cam[:3, 3])
+        colours.append(frame.colour[v, u])
+    return np.concatenate(points).astype(np.float32), np.concatenate(colours)
