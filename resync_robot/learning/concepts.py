@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -19,12 +19,12 @@ from resync_robot.core.errors import TrainingError, UnknownNameError
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Type, Variable, distinct_products
 from resync_robot.core.trajectory import Trajectory
 from resync_robot.learning.classifiers import NeuralClassifier
-from resync_robot.learning.dataset import Dataset, merged_dataset, variant_dataset
+from resync_robot.learning.dataset import Dataset, Step, merged_dataset, variant_dataset
 from resync_robot.learning.effects import Candidate, affordances, candidates, supervise
 from resync_robot.learning.features import gather
 from resync_robot.learning.fit import PAPER, SCREENING, Fit, FitConfig, fit
 from resync_robot.learning.model import Concepts, GivenModel, assemble, quantifications
-from resync_robot.learning.operators import OperatorConfig, evidence
+from resync_robot.learning.operators import OperatorConfig, evidence, explained_failures
 from resync_robot.learning.select import PAPER_J, Concept, SelectConfig, Selector, select
 from resync_robot.planning.abstract import HOLDS, Abstraction, Form, Not
 
@@ -99,33 +99,42 @@ def learn_concepts(
     failing = failed_skill if config.mode == "default" else f"{failed_skill}_{recovery}"
     affected = [s for s in (recovery, failing, after) if s in dataset.signatures]
 
-    proposals = candidates(recovery, affected, dataset.signatures)
-    if config.mode == "default":
-        tried = [op.name for op in given.operators]
-        proposals += affordances(recovery, tried, dataset.signatures)
-    kept, log = _train(dataset, proposals, config, seed, progress)
-
     parameters = _parameters(dataset.signatures, given.operators)
     judge = Abstraction(given.predicates, given.classifiers)
     truth = [judge.true_atoms(dataset.state_at(m)) for m in range(len(dataset.moments))]
     columns = [evidence(dataset, truth, p, parameters, learned=False) for p in judge.predicates]
-    pool = _pool(dataset, judge.predicates, truth, kept, parameters)
+    pool = _Pool(dataset, parameters)
+    for predicate in judge.predicates:
+        pool.add_given(predicate, truth)
+    explained = explained_failures(dataset, [*columns, *(c.evidence for c in pool.concepts)])
+
+    proposals = candidates(recovery, affected, dataset.signatures)
+    if config.mode == "default":
+        tried = [op.name for op in given.operators]
+        proposals += affordances(recovery, tried, dataset.signatures)
+    kept, log = _train(dataset, proposals, explained, config, seed, progress)
+    # The preferred ones first: of concepts that always agree only the first is pooled.
+    for candidate, fitted in sorted(
+        kept, key=lambda pair: (pair[0].attempts is None, len(pair[0].effects), pair[1].loss)
+    ):
+        pool.add_learned(candidate, fitted)
     selector = Selector(
         dataset, truth, columns, parameters, {op.name: op for op in given.operators}, config.select, config.operators
     )
-    selection = select(selector, pool, progress)
+    selection = select(selector, pool.concepts, progress)
     progress("concepts learned", 1.0)
     report = {
         "mode": config.mode,
         "seed": seed,
         "candidates": log,
-        "pool": len(pool),
+        "pool": len(pool.concepts),
         "demonstrations": len(selector.demonstrations),
         "failed_attempts": len(selector.failures),
+        "explained_failures": len(explained),
         "variants": {s: failed_skill for s in dataset.signatures if s not in signatures},
         "seconds": round(time.perf_counter() - start, 2),
     }
-    return assemble(given, selection, pool, report)
+    return assemble(given, selection, pool.concepts, report)
 
 
 def _skill_after(dataset: Dataset, recovery: str) -> str:
@@ -141,7 +150,12 @@ def _skill_after(dataset: Dataset, recovery: str) -> str:
 
 
 def _train(
-    dataset: Dataset, proposals: Sequence[Candidate], config: ConceptConfig, seed: int, progress: Progress
+    dataset: Dataset,
+    proposals: Sequence[Candidate],
+    explained: Collection[Step],
+    config: ConceptConfig,
+    seed: int,
+    progress: Progress,
 ) -> tuple[list[tuple[Candidate, Fit]], list[dict[str, Any]]]:
     """Contradictions out, a small net for each that is left, the full one where the small one fits."""
     kept: list[tuple[Candidate, Fit]] = []
@@ -150,7 +164,7 @@ def _train(
         entry: dict[str, Any] = {"candidate": str(candidate), "name": candidate.name}
         log.append(entry)
         progress(f"training classifiers, {len(kept)} kept", i / len(proposals))
-        supervision = supervise(dataset, candidate)
+        supervision = supervise(dataset, candidate, explained)
         entry["conflicts"] = round(supervision.conflicts, 4)
         if supervision.contradicted:
             entry["verdict"] = "contradicted by the data, not trained"
@@ -191,43 +205,42 @@ def forms_of(base: Predicate) -> list[Form]:
     return [*quantified, Not(base), *(Not(f.predicate) for f in quantified)]
 
 
-def _pool(
-    dataset: Dataset,
-    given: Sequence[Predicate],
-    given_truth: Sequence[Atoms],
-    kept: Sequence[tuple[Candidate, Fit]],
-    parameters: Mapping[str, tuple[Variable, ...]],
-) -> list[Concept]:
-    """Forms of given predicates, every kept candidate and its forms; of those that always agree the first one only."""
-    pool: list[Concept] = []
-    seen: set[tuple[tuple[Type, ...], tuple[frozenset[tuple[Object, ...]], ...]]] = set()
+class _Pool:
+    """Concepts to select from: predicates and their forms; of those that always agree the first one only."""
 
-    def add(base: Predicate, table: list[Table], candidate: Candidate | None, fitted: Fit | None) -> None:
+    def __init__(self, dataset: Dataset, parameters: Mapping[str, tuple[Variable, ...]]) -> None:
+        self.dataset, self.parameters = dataset, parameters
+        self.concepts: list[Concept] = []
+        self._seen: set[tuple[tuple[Type, ...], tuple[frozenset[tuple[Object, ...]], ...]]] = set()
+
+    def add_given(self, predicate: Predicate, truth: Sequence[Atoms]) -> None:
+        """The forms of a given predicate, which is in the model anyway."""
+        table = [
+            {args: float(predicate(*args) in held) for args in _groundings(predicate.types, self.dataset, m)}
+            for m, held in enumerate(truth)
+        ]
+        self._add(predicate, table, None, None)
+
+    def add_learned(self, candidate: Candidate, fitted: Fit) -> None:
+        """A candidate with its classifier, and its forms."""
+        table = probabilities(fitted.classifier, self.dataset)
+        self._add(Predicate(candidate.name, candidate.types), table, candidate, fitted)
+
+    def _add(self, base: Predicate, table: list[Table], candidate: Candidate | None, fitted: Fit | None) -> None:
         tables = {base.name: table}
         members: list[tuple[Predicate, Form | None]] = [(base, None), *((f.predicate, f) for f in forms_of(base))]
         for predicate, form in members:
             if form is not None:
-                tables[predicate.name] = _derive(form, predicate, tables[form.base.name], dataset)
+                tables[predicate.name] = _derive(form, predicate, tables[form.base.name], self.dataset)
             held = tuple(frozenset(args for args, p in t.items() if p > HOLDS) for t in tables[predicate.name])
-            if (predicate.types, held) in seen:
+            if (predicate.types, held) in self._seen:
                 continue
-            seen.add((predicate.types, held))
+            self._seen.add((predicate.types, held))
             if form is None and candidate is None:
                 continue
             truth: tuple[Atoms, ...] = tuple(frozenset(predicate(*args) for args in h) for h in held)
-            columns = evidence(dataset, truth, predicate, parameters, learned=True)
-            pool.append(Concept(predicate, form, base, candidate, fitted, truth, columns))
-
-    for predicate in sorted(given):
-        keys = [_groundings(predicate.types, dataset, m) for m in range(len(dataset.moments))]
-        pairs = zip(keys, given_truth, strict=True)
-        add(predicate, [{args: float(predicate(*args) in true) for args in k} for k, true in pairs], None, None)
-    # The preferred ones first, so that they are the ones that stay.
-    ranked = sorted(kept, key=lambda pair: (pair[0].attempts is None, len(pair[0].effects), pair[1].loss))
-    for candidate, result in ranked:
-        base = Predicate(candidate.name, candidate.types)
-        add(base, probabilities(result.classifier, dataset), candidate, result)
-    return pool
+            columns = evidence(self.dataset, truth, predicate, self.parameters, learned=True)
+            self.concepts.append(Concept(predicate, form, base, candidate, fitted, truth, columns))
 
 
 def probabilities(classifier: NeuralClassifier, dataset: Dataset) -> list[Table]:

@@ -8,7 +8,7 @@ where two forced values meet, no classifier can fit and none is trained.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
@@ -180,13 +180,17 @@ class Supervision:
         return self.conflicts > MAX_CONFLICTS
 
 
-def supervise(dataset: Dataset, candidate: Candidate) -> Supervision:
-    """Labels, invariances and contradictions of a candidate over the whole data set."""
+def supervise(dataset: Dataset, candidate: Candidate, explained: Collection[Step] = ()) -> Supervision:
+    """Labels, invariances and contradictions of a candidate over the whole data set.
+
+    Args:
+        explained: failed attempts whose cause is known to be another one; they label nothing.
+    """
     labels: list[Label] = []
     invariances: list[Invariance] = []
     forced = conflicting = 0
     for r, run in enumerate(dataset.runs):
-        groups, told = _direct(r, run, candidate)
+        groups, told = _direct(r, run, candidate, explained)
         labels += groups
         for args in distinct_products([[o for o in run.objects if o.type == t] for t in candidate.types]):
             for stretch, kept in _stretches(run, candidate, args):
@@ -201,7 +205,7 @@ def supervise(dataset: Dataset, candidate: Candidate) -> Supervision:
     return Supervision(tuple(labels), tuple(invariances), conflicting / max(forced, 1))
 
 
-def _direct(r: int, run: Run, candidate: Candidate) -> tuple[list[Label], Told]:
+def _direct(r: int, run: Run, candidate: Candidate, explained: Collection[Step]) -> tuple[list[Label], Told]:
     """Labels from effects and attempts, and the values they force on single atoms."""
     labels: list[Label] = []
 
@@ -217,7 +221,7 @@ def _direct(r: int, run: Run, candidate: Candidate) -> tuple[list[Label], Told]:
                     hold(step.before, [args], (1 - effect.sign) // 2)
                     hold(step.after, [args], (1 + effect.sign) // 2)
     if (source := candidate.attempts) is not None:
-        for step, value in [*((s, 1) for s in run.steps), *((s, 0) for s in run.failures)]:
+        for step, value in [*((s, 1) for s in run.steps), *((s, 0) for s in run.failures if s not in explained)]:
             if step.skill == source.skill:
                 hold(step.before, affected(step, source.slots, candidate.types, run.objects), value)
     labels = list(dict.fromkeys(labels))

@@ -48,6 +48,10 @@ class Column:
     learned: bool
 
 
+MIN_EXPLAINED = 5
+MAX_EXCEPTIONS = 0.01
+"""A condition accounts for failures when it was missing in so many, and in at most this share of the successes."""
+
 Evidence = dict[str, tuple[Column, ...]]
 """Skill name -> the columns of one predicate."""
 
@@ -99,6 +103,25 @@ def evidence(
         )
         for skill, variables in parameters.items()
     }
+
+
+def explained_failures(dataset: Dataset, columns: Sequence[Evidence]) -> set[Step]:
+    """Failed attempts that an atom over the skill's parameters accounts for: where it was false, nothing succeeded.
+
+    Such failures say nothing about what is still to be learned: a block under another one cannot be picked wherever
+    it stands.
+    """
+    failures: dict[str, list[Step]] = {}
+    for run in dataset.runs:
+        for step in run.failures:
+            failures.setdefault(step.skill, []).append(step)
+    explained: set[Step] = set()
+    for skill, steps in failures.items():
+        for column in (c for e in columns for c in e[skill] if c.atom.args):
+            without = ~column.failed
+            if len(column.before) and without.sum() >= MIN_EXPLAINED and (~column.before).mean() <= MAX_EXCEPTIONS:
+                explained |= {s for s, w in zip(steps, without, strict=True) if w}
+    return explained
 
 
 def learn_operator(
