@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from perception.catalogue import Catalogue
 from perception.pose import BlockEstimate, BoxEstimate, Glimpse, box_outline, estimate_blocks, estimate_box
+from perception.register import align_to_box
 from perception.segment import ColourSegmenter, Segmenter
 from perception.views import level, make_view
 from resync_robot.core.errors import PerceptionError
@@ -49,5 +50,9 @@ class SceneEstimator:
         outline = box_outline(views, self.catalogue)
         views = [level(v, self.catalogue, outline) for v in views]
         box = estimate_box(views, self.catalogue)
+        views = [
+            align_to_box(v, box.features, self.catalogue, self.rig.camera(f.name))
+            for v, f in zip(views, frames, strict=True)
+        ]
         blocks, glimpses = estimate_blocks(views, self.catalogue, box)
         return SceneEstimate(box, blocks, glimpses)

@@ -159,12 +159,7 @@ def fit_rectangle(
     centre, yaw, extents = start
 
     def shape(p: np.ndarray) -> np.ndarray:
-        c, s = np.cos(p[2]), np.sin(p[2])
-        d = xy - p[:2]
-        u, v = np.abs(d[:, 0] * c + d[:, 1] * s), np.abs(d[:, 1] * c - d[:, 0] * s)
-        half_u, half_v = p[3] / 2, p[-1] / 2
-        inner = _edge(half_u - u) * _edge(half_v - v)
-        return inner if not ring else _edge(half_u + ring - u) * _edge(half_v + ring - v) - inner
+        return coverage(xy, p[:2], p[2], (p[3], p[-1]), ring)
 
     begin = np.array([*centre, yaw, *([extents.mean()] if square else extents)])
     scale = np.array([1.0, 1.0, 1.0 / max(extents.mean(), 0.02), *([1.0] * (len(begin) - 3))]) * 0.01
@@ -185,6 +180,19 @@ def fit_rectangle(
         np.array([*sigma[:3], sigma[3:].max()]),
         misfit,
     )
+
+
+def coverage(
+    xy: Float[np.ndarray, "n 2"], centre: np.ndarray, yaw: float, extents: tuple[float, float], ring: float = 0.0
+) -> Float[np.ndarray, "n"]:
+    """1 at points on a rectangle (or, for `ring` > 0, on the frame of that thickness around it), 0 off it, with soft
+    edges so that it can be differentiated."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    d = xy - centre
+    u, v = np.abs(d[:, 0] * c + d[:, 1] * s), np.abs(d[:, 1] * c - d[:, 0] * s)
+    half_u, half_v = extents[0] / 2, extents[1] / 2
+    face = _edge(half_u - u) * _edge(half_v - v)
+    return face if not ring else _edge(half_u + ring - u) * _edge(half_v + ring - v) - face
 
 
 def _edge(inside: np.ndarray) -> np.ndarray:

@@ -29,8 +29,10 @@ from resync_robot.core.errors import PerceptionError
 
 VIEW_SIGMA = 0.0014
 """What a view's own pose error leaves in x and y after the table has corrected its tilt and height, m."""
-VIEW_YAW_SIGMA = 0.0045
-HEIGHT_SIGMA = 0.0008
+VIEW_YAW_SIGMA = 0.007
+"""The same for the yaw of a block or the box, rad."""
+HEIGHT_SIGMA = 0.0005
+SIZE_SIGMA = 0.0006
 TYPICAL_HEIGHT = 0.045
 COVERED_WITHIN = 0.040
 UPRIGHT_WITHIN = np.radians(8.0)
@@ -207,7 +209,7 @@ def _block(
     low, high = catalogue.block_height
     # Of a tower only the whole height is seen: its blocks share it.
     storeys = 1 if height <= high else round(height / TYPICAL_HEIGHT)
-    size_z, size_z_sigma = height / storeys, 0.001 if storeys == 1 else 0.003
+    size_z, size_z_sigma = height / storeys, SIZE_SIGMA if storeys == 1 else 0.003
     features = np.array(
         [r.x, r.y, top_z - size_z / 2, *spatial.quat_from_yaw(r.yaw), r.width, r.width, size_z], dtype=np.float64
     )
@@ -215,7 +217,7 @@ def _block(
     covariance = np.zeros((10, 10))
     z_variance = HEIGHT_SIGMA**2 + (size_z_sigma / 2) ** 2
     covariance[:7, :7] = _fitted_covariance(r, VIEW_SIGMA**2 / n, z_variance, VIEW_YAW_SIGMA**2 / n)
-    covariance[7:9, 7:9] = r.sigma[3] ** 2 + 0.001**2
+    covariance[7:9, 7:9] = r.sigma[3] ** 2 + SIZE_SIGMA**2
     covariance[9, 9] = size_z_sigma**2
     upright = tilt < UPRIGHT_WITHIN and height >= low and _has_stud(cluster, r, top_z, catalogue)
     return BlockEstimate(name, features, covariance, top_z, upright, storeys > 1, votes.views)

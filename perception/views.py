@@ -131,7 +131,9 @@ def gather(views: Sequence[View], mask: Sequence[np.ndarray]) -> tuple[Float[np.
 
 
 def _world_points(ray: np.ndarray, depth: np.ndarray, world_T_cam: np.ndarray) -> np.ndarray:
-    return (ray * depth[..., None]) @ world_T_cam[:3, :3].T + world_T_cam[:3, 3]
+    # One product over all pixels: numpy would loop over the rows of an (H, W, 3) operand.
+    local = (ray * depth[..., None]).reshape(-1, 3)
+    return (local @ world_T_cam[:3, :3].T + world_T_cam[:3, 3]).reshape(ray.shape)
 
 
 def _hand(frame: CameraFrame, points: np.ndarray, depth: np.ndarray, rig: Rig) -> np.ndarray:
@@ -140,7 +142,7 @@ def _hand(frame: CameraFrame, points: np.ndarray, depth: np.ndarray, rig: Rig) -
     if camera.mount != "flange":
         return np.zeros(depth.shape, dtype=bool)
     flange_T_world = camera.pose @ spatial.inverse(frame.world_T_cam)
-    local = points @ flange_T_world[:3, :3].T + flange_T_world[:3, 3]
+    local = spatial.apply(flange_T_world, points.reshape(-1, 3)).reshape(points.shape)
     inside = (
         (np.abs(local[..., 0]) < HAND_HALF[0])
         & (np.abs(local[..., 1]) < HAND_HALF[1])
