@@ -127,11 +127,11 @@ def plans(
 ) -> tuple[Plan, ...]:
     """Up to `count` different plans in the order A* meets them, fewer where there are no more within `max_nodes`.
 
-    Each carries the nodes created since the search began. A state is expanded at most `count` times: a plan that
+    Unlike the first plan, later ones may hold steps that change nothing, such as a failure on purpose. Each carries the nodes created since the search began. A state is expanded at most `count` times: a plan that
     needs it once more has `count` plans before it already, so the search also ends where the goal is out of reach.
     """
     start = time.perf_counter()
-    problem = _Problem(operators, objects, atoms, goal)
+    problem = _Problem(operators, objects, atoms, goal, keep_useless=True)
     estimate = problem.heuristic(heuristic)
     values: dict[frozenset[int], float] = {}
 
@@ -177,7 +177,14 @@ def ground_all(operators: Iterable[Operator], objects: Iterable[Object]) -> list
 class _Problem:
     """A pyperplan task with numbered facts. Only facts that some precondition or the goal asks for are kept."""
 
-    def __init__(self, operators: Iterable[Operator], objects: Iterable[Object], atoms: Atoms, goal: Atoms) -> None:
+    def __init__(
+        self,
+        operators: Iterable[Operator],
+        objects: Iterable[Object],
+        atoms: Atoms,
+        goal: Atoms,
+        keep_useless: bool = False,
+    ) -> None:
         if not goal:
             raise PlanningError("the goal is empty: there is nothing to plan for")
         self.goal, self.atoms = goal, atoms
@@ -197,7 +204,7 @@ class _Problem:
             [
                 PyperplanOperator(i, facts(op.preconditions) or {0}, facts(op.add), facts(op.delete))
                 for i, op in enumerate(self.ground)
-                if op.add & number.keys()
+                if keep_useless or op.add & number.keys()
             ],
         )
 
