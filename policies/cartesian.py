@@ -19,6 +19,8 @@ Step = Generator[JointTarget, Observation, None]
 
 YAW_SPEED = 1.2
 """rad/s of the hand about the vertical."""
+LAG_S = 0.12
+"""s that an arm may be behind its targets: smoothing to its jerk limit, and the controller's own look-ahead."""
 FINGER_SPEED = 0.12
 """m/s of opening or closing."""
 
@@ -99,9 +101,11 @@ class Hand:
         at_rest = self.last.tip_force
         for i in range(1, steps + 1):
             s = (1 - np.cos(np.pi * i / steps)) / 2
+            before = self.position
             self.position, self.yaw = begin + s * (goal - begin), yaw_begin + s * turn
+            behind = LAG_S * float(np.linalg.norm(self.position - before)) / self.period
             self.last = yield self.target()
-            self._guard(at_rest, max_force)
+            self._guard(at_rest, max_force, behind)
         yield from self.settle(at_rest, max_force)
 
     def settle(self, at_rest: np.ndarray, max_force: float, seconds: float = 0.4) -> Step:
@@ -148,9 +152,9 @@ class Hand:
     def _tip(self) -> np.ndarray:
         return self.rig.tip_pose(self.last.arm)[:3, 3].copy()
 
-    def _guard(self, at_rest: np.ndarray, max_force: float) -> None:
+    def _guard(self, at_rest: np.ndarray, max_force: float, behind: float = 0.0) -> None:
         away = float(np.linalg.norm(self._tip() - self.position))
-        if away > self.stray:
+        if away > self.stray + behind:
             raise Blocked(f"the tip is held {1000 * away:.0f} mm from where it was sent")
         force = float(np.linalg.norm(self.last.tip_force - at_rest))
         if force > max_force:

@@ -139,7 +139,12 @@ def plan_f(
         try:
             found = plan(model.operators, state.objects, atoms, goal, heuristic=s.heuristic)
         except PlanningError as error:
-            return ended(End.NO_PLAN, error.what)
+            if not distrusted:
+                return ended(End.NO_PLAN, error.what)
+            # Doubt that leaves no way to act is no use: believe the classifiers again, and try once more.
+            atoms, reason = atoms | _doubted(model, state, distrusted), "nothing else is left to try"
+            distrusted.clear()
+            continue
         plans.append(found)
         listener.on_plan(found, reason)
         for index, step in enumerate(found.steps):
@@ -210,6 +215,10 @@ def _look(world: World, model: Model, distrusted: set[Atom], listener: Listener)
     probabilities = {atom: (0.0 if atom in distrusted else p) for atom, p in model.abstraction.abstract(state).items()}
     listener.on_perceived(state, probabilities)
     return state, frozenset(a for a, p in probabilities.items() if p > HOLDS)
+
+
+def _doubted(model: Model, state: State, distrusted: set[Atom]) -> Atoms:
+    return frozenset(a for a in distrusted if model.abstraction.abstract(state).get(a, 0.0) > HOLDS)
 
 
 def _distrust(model: Model, failed: GroundSkill) -> Atom | None:
