@@ -1,0 +1,33 @@
+"""The catalogue is written by hand, as for a real set of blocks; the simulation must keep to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from perception.catalogue import Catalogue
+from sim_training import parts
+from sim_training.domains.cornered_insertion_s import sample_block_sizes, sample_box
+from sim_training.randomise import BLOCK_HUES
+
+
+def test_the_simulated_things_are_those_of_the_catalogue() -> None:
+    catalogue, rng = Catalogue(), np.random.default_rng(0)
+    assert dict(catalogue.hues) == BLOCK_HUES
+    assert (catalogue.stud_width, catalogue.stud_height) == (parts.STUD_WIDTH, parts.STUD_HEIGHT)
+    assert (catalogue.floor_thickness, catalogue.table_z) == (parts.BOX_FLOOR, parts.TABLE_TOP)
+    for _ in range(100):
+        box = sample_box(rng)
+        assert catalogue.box_inner[0] < min(box[7:9])
+        assert max(box[7:9]) < catalogue.box_inner[1]
+        assert catalogue.rim_height[0] < box[2] + box[9] < catalogue.rim_height[1]
+        assert box[10] == catalogue.wall_thickness
+        for size in sample_block_sizes(rng, ("b0", "b1")).values():
+            assert catalogue.block_width[0] < size[0] < catalogue.block_width[1]
+            assert catalogue.block_height[0] < size[2] < catalogue.block_height[1]
+
+
+def test_hues_are_further_apart_than_their_tolerance() -> None:
+    catalogue = Catalogue()
+    hues = sorted(catalogue.hues.values())
+    gaps = np.diff([*hues, hues[0] + 1.0])
+    assert gaps.min() > 2 * catalogue.hue_tolerance
