@@ -14,7 +14,6 @@ from sapien import physx, render
 from resync_robot.core.errors import RenderError
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import CameraRig, Rig
-from resync_robot.core.spatial import features_from_pose
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX
@@ -290,4 +289,5 @@ def camera_pose_in_world(component: render.RenderCameraComponent) -> np.ndarray:
 
 def features_of(pose: sapien.Pose) -> np.ndarray:
     """(7,) x y z qw qx qy qz with qw >= 0."""
-    return features_from_pose(pose.to_transformation_matrix())
+    quat = pose.q if pose.q[0] >= 0 else -pose.q
+    return np.concatenate([pose.p, quat]).astype(np.float64)

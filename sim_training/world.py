@@ -170,7 +170,8 @@ class SimWorld:
         effort = self.built.stiffness * (self._target.arm - q) - self.built.damping * qd
         effort = np.clip(effort, -self._torque, self._torque)
         jacobian = tip_jacobian(self.rig, q)
-        wrench, *_ = np.linalg.lstsq(jacobian.T, -effort, rcond=1e-3)
+        # Damped, so that a singular pose gives a modest estimate instead of a huge one.
+        wrench = np.linalg.solve(jacobian @ jacobian.T + 1e-4 * np.eye(6), jacobian @ -effort)
         return wrench[:3]
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
@@ -90,6 +92,22 @@ def quat_from_matrix(rotation: Float[Array, "*b 3 3"]) -> Array:
     return np.where(quat[..., :1] < 0, -quat, quat)
 
 
+def _quat_of_one(m: Float[Array, "3 3"]) -> tuple[float, float, float, float]:
+    """`quat_from_matrix` of one matrix in plain floats, for control loops."""
+    (a, b, c), (d, e, f), (g, h, i) = m.tolist()
+    squares = (1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i)
+    best = max(range(4), key=squares.__getitem__)
+    rows = (
+        (squares[0], h - f, c - g, d - b),
+        (h - f, squares[1], b + d, c + g),
+        (c - g, b + d, squares[2], f + h),
+        (d - b, c + g, f + h, squares[3]),
+    )
+    w, x, y, z = rows[best]
+    norm = math.sqrt(w * w + x * x + y * y + z * z) * (-1.0 if w < 0 else 1.0)
+    return w / norm, x / norm, y / norm, z / norm
+
+
 def quat_from_yaw(yaw: float | Array) -> Array:
     """(..., 4) wxyz of a rotation by `yaw` about z."""
     half = np.asarray(yaw, dtype=np.float64) / 2
@@ -111,6 +129,8 @@ def pose_from_features(features: Float[Array, "*b 7"]) -> Array:
 
 def features_from_pose(pose: Float[Array, "*b 4 4"]) -> Array:
     """(..., 7): x y z qw qx qy qz."""
+    if pose.ndim == 2:
+        return np.array([*pose[:3, 3], *_quat_of_one(pose[:3, :3])])
     return np.concatenate([pose[..., :3, 3], quat_from_matrix(pose[..., :3, :3])], -1)
 
 

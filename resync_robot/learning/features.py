@@ -83,14 +83,15 @@ def _block_box(_: Type, block: Rows, __: Type, box: Rows) -> Rows:
     # From the centre of the block to the wall on its side, the nearer wall first.
     to_wall = half - np.abs(position[:, :2])
     order = np.argsort(to_wall, axis=1, kind="stable")
-    mirrored = np.sign(position[:, 0]) * np.sign(position[:, 1]) * np.where(order[:, 0] == 0, 1.0, -1.0)
+    # A mirror turns both the heading and the bearing round, so the product of the two sines does not see it.
+    bearing = np.arctan2(position[:, 1], position[:, 0])
     return np.concatenate(
         [
             np.take_along_axis(to_wall, order, 1),
             np.take_along_axis(half, order, 1),
             position[:, 2:3],
             np.cos(4 * heading)[:, None],
-            (np.sin(4 * heading) * mirrored)[:, None],
+            (np.sin(4 * heading) * np.sin(4 * bearing))[:, None],
             _upright(block),
             block[:, 7:10],
             box[:, 9:11],

@@ -127,8 +127,9 @@ def plans(
 ) -> tuple[Plan, ...]:
     """Up to `count` different plans in the order A* meets them, fewer where there are no more within `max_nodes`.
 
-    Unlike the first plan, later ones may hold steps that change nothing, such as a failure on purpose. Each carries the nodes created since the search began. A state is expanded at most `count` times: a plan that
-    needs it once more has `count` plans before it already, so the search also ends where the goal is out of reach.
+    Unlike the first plan, later ones may hold steps that change nothing, such as a failure on purpose. Each carries
+    the nodes created since the search began. A state is expanded at most `count` times: a plan that needs it once
+    more has `count` plans before it already, so the search also ends where the goal is out of reach.
     """
     start = time.perf_counter()
     problem = _Problem(operators, objects, atoms, goal, keep_useless=True)

@@ -237,9 +237,13 @@ class Toy:
             if blocks > 2 and self.rng.random() < tower:
                 steps += [("Pick", (ROBOT_0, b[2])), ("Insert", (ROBOT_0, b[2], b[0]))]
                 goal.add(ON(b[2], b[0]))
-            result.append(
-                self.record(state, steps, frozenset(goal), f"{'before' if before else 'after'}@b{reference}", True)
-            )
+            source = f"{'before' if before else 'after'}@b{reference}"
+            found = [self.record(state, steps, frozenset(goal), source, reactive=True)]
+            if before and reference == 1 and not found[0].solved:
+                # A base cannot be recovered any more with a block in the hand: once again, recovering it first.
+                first = ("Recover", (ROBOT_0, b[1], BOX_0))
+                found.append(self.record(state, [first, *steps], frozenset(goal), source))
+            result += found
         return result
 
     def attempts(self, count: int, covered: bool = True) -> list[Trajectory]:
