@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import numpy as np
+
+from resync_robot.core.symbols import Predicate, Variable
+from resync_robot.core.vocabulary import BLOCK, ROBOT
+from resync_robot.learning.operators import Column, OperatorConfig, learn_operator, lifted_atoms
+
+R, B0, B1 = Variable("?r", ROBOT), Variable("?b0", BLOCK), Variable("?b1", BLOCK)
+EMPTY, FREE, WET = Predicate("Empty", (ROBOT,)), Predicate("Free", (BLOCK,)), Predicate("Wet", (BLOCK,))
+PAIR = Predicate("Pair", (BLOCK, BLOCK))
+
+
+def column(atom, before, after=None, failed=(), learned=True) -> Column:
+    as_bool = [np.array(v, dtype=bool) for v in (before, before if after is None else after, failed)]
+    return Column(atom, *as_bool, learned)
+
+
+def test_atoms_over_distinct_parameters() -> None:
+    assert lifted_atoms(FREE, (R, B0, B1)) == [FREE(B0), FREE(B1)]
+    assert lifted_atoms(PAIR, (R, B0, B1)) == [PAIR(B0, B1), PAIR(B1, B0)]
+    assert lifted_atoms(PAIR, (R, B0)) == []
+    assert lifted_atoms(Predicate("Day", ()), (R, B0)) == [Predicate("Day", ())()]
+
+
+def test_effects_are_those_of_the_largest_cluster() -> None:
+    columns = [
+        column(EMPTY(R), [1] * 10, [0] * 10, learned=False),
+        column(FREE(B0), [0] * 9 + [1], [1] * 10, learned=False),
+    ]
+    op = learn_operator("Op", (R, B0), columns, OperatorConfig())
+    assert op is not None
+    assert (op.add, op.delete, op.preconditions) == ({FREE(B0)}, {EMPTY(R)}, {EMPTY(R)})
+
+
+def test_a_condition_must_have_held_before_most_successes() -> None:
+    columns = [column(EMPTY(R), [1] * 8 + [0] * 2, learned=False), column(FREE(B0), [1] * 7 + [0] * 3, learned=False)]
+    op = learn_operator("Op", (R, B0), columns, OperatorConfig())
+    assert op is not None and op.preconditions == {EMPTY(R)}
+
+
+def test_a_learned_condition_must_tell_failures_from_successes() -> None:
+    successes = [1] * 20
+    free = column(FREE(B0), [1] * 19 + [0], failed=[0] * 9 + [1])
+    always = column(WET(B0), successes, failed=[1] * 10)
+    default = learn_operator("Op", (R, B0), [free, always], OperatorConfig())
+    published = learn_operator("Op", (R, B0), [free, always], OperatorConfig(use_failures=False))
+    assert default is not None and default.preconditions == {FREE(B0)}
+    assert published is not None and published.preconditions == {FREE(B0), WET(B0)}
+    # Without failures nothing learned is shown to matter.
+    unfailing = learn_operator("Op", (R, B0), [column(FREE(B0), successes)], OperatorConfig())
+    assert unfailing is not None and unfailing.preconditions == frozenset()
+
+
+def test_a_second_condition_must_explain_what_the_first_does_not() -> None:
+    free = column(FREE(B0), [1] * 20, failed=[0] * 8 + [1] * 4)
+    same = column(WET(B0), [1] * 20, failed=[0] * 7 + [1] * 5)
+    other = column(FREE(B1), [1] * 20, failed=[1] * 8 + [0] * 4)
+    op = learn_operator("Op", (R, B0, B1), [same, free, other], OperatorConfig())
+    assert op is not None and op.preconditions == {FREE(B0), FREE(B1)}
+
+
+def test_a_skill_that_never_succeeded_has_no_operator() -> None:
+    assert learn_operator("Op", (R, B0), [column(FREE(B0), [], failed=[1, 1])], OperatorConfig()) is None
