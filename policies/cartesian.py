@@ -72,6 +72,7 @@ class Hand:
         self._base_T_world = spatial.inverse(rig.arm.world_T_base)
         self._tip_T_flange = spatial.inverse(rig.gripper.flange_T_tip)
         self._q = first.arm.copy()
+        self._branch = kinematics.branch_of(first.arm)
         tip = rig.tip_pose(first.arm)
         self.position = tip[:3, 3].copy()
         self.yaw = float(np.arctan2(tip[1, 0], tip[0, 0]))
@@ -84,7 +85,7 @@ class Hand:
 
     def target(self) -> JointTarget:
         tip = spatial.transform(self.rotation(self.yaw), self.position)
-        self._q = kinematics.inverse_near(self._base_T_world @ tip @ self._tip_T_flange, self._q)
+        self._q = kinematics.inverse_along(self._base_T_world @ tip @ self._tip_T_flange, self._q, self._branch)
         return JointTarget(self._q, self.opening)
 
     def move(self, x: float, y: float, z: float, yaw: float, speed: float, max_force: float = np.inf) -> Step:
@@ -94,7 +95,7 @@ class Hand:
             Blocked: the tip strayed, or more than `max_force` N pushed against it (beyond what it felt at the start).
         """
         begin, goal = self.position.copy(), np.array([x, y, z], dtype=np.float64)
-        yaw_begin, turn = self.yaw, float(spatial.wrap(yaw - self.yaw))
+        yaw_begin, turn = self.yaw, self._turn(yaw)
         # A cosine profile's mean speed is its peak over pi/2.
         seconds = max(float(np.linalg.norm(goal - begin)) / speed, abs(turn) / YAW_SPEED) * np.pi / 2
         steps = max(1, int(np.ceil(seconds / self.period)))
@@ -107,6 +108,13 @@ class Hand:
             self.last = yield self.target()
             self._guard(at_rest, max_force, behind)
         yield from self.settle(at_rest, max_force)
+
+    def _turn(self, yaw: float) -> float:
+        """The way round to `yaw`, rad: the short one, unless it would wind the last wrist joint up to its limit."""
+        turn = float(spatial.wrap(yaw - self.yaw))
+        # The tool points down: a turn to the left is one to the right for the joint above it.
+        wound = self._q[5] - turn - self.rig.arm.home[5]
+        return turn if abs(wound) < np.pi + 0.2 else turn + 2 * np.pi * float(np.sign(wound))
 
     def settle(self, at_rest: np.ndarray, max_force: float, seconds: float = 0.4) -> Step:
         """Wait until the tip stands within 1 mm of where it was sent, or for `seconds`."""

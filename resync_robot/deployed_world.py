@@ -122,10 +122,11 @@ class DeployedWorld:
         tip = self.rig.tip_pose(q)
         if tip[2, 3] >= SAFE_TIP:
             return
+        branch = kinematics.branch_of(q)
         for z in np.arange(tip[2, 3], SAFE_TIP + 0.002, 0.002):
             lifted = tip.copy()
             lifted[2, 3] = z
-            q = kinematics.inverse_near(self._base_T_world @ lifted @ self._tip_T_flange, q)
+            q = kinematics.inverse_along(self._base_T_world @ lifted @ self._tip_T_flange, q, branch)
             self.stream.run(JointTarget(q, opening), 0.02)
 
     def _travel(self, q: np.ndarray) -> None:
