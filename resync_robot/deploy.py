@@ -56,10 +56,6 @@ class DeployConfig:
     """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
 
 
-SHIPPED = Path(__file__).parent / "shipped"
-"""The library that comes with the program."""
-
-
 def deploy(config: DeployConfig) -> int:
     """Run the episodes of `config`, each recorded whether it succeeds or not.
 
@@ -71,7 +67,7 @@ def deploy(config: DeployConfig) -> int:
     """
     from resync_robot.core.library import load_library
     from resync_robot.core.rig import load_rig
-    from resync_robot.knowledge import learned_model
+    from resync_robot.knowledge import learned_model, shipped_library
     from resync_robot.progress import say
     from resync_robot.run_folder import RunFolder, default_folder
     from sim_training.domains import find_domain
@@ -82,7 +78,7 @@ def deploy(config: DeployConfig) -> int:
         raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     domain.scenario(config.scenario)
-    library = load_library(config.library or SHIPPED)
+    library = load_library(config.library or shipped_library(domain.name))
     model = learned_model(domain, rig, library)
     tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
     folder = RunFolder(config.out or default_folder("deploy"))
@@ -101,14 +97,16 @@ def deploy(config: DeployConfig) -> int:
         succeeded += reached
         verdict = "goal reached" if reached else f"failed ({result.end.value}: {result.reason})"
         say(f"Episode {i + 1}/{len(tasks)}: {verdict}; {len(result.transitions)} skills. Recording: {path}")
-    say(f"{succeeded} of {len(tasks)} episodes reached the goal. Review one:  resync-robot review {path}")
+    say(
+        f"{succeeded} of {len(tasks)} episodes reached the goal. Review one:  resync-robot review {path} [--save FILE.rrd]"
+    )
     return 0 if succeeded == len(tasks) or config.dry_run else 3
 
 
 def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
     from dataclasses import replace
 
-    from resync_robot.evaluate import world_task
+    from sim_training.domains import world_task
 
     task = world_task(domain, config.scenario, config.seed, seed - config.seed)
     return task if config.goal is None else replace(task, goal=domain.parse_goal(config.goal, task.objects))

@@ -12,12 +12,10 @@ from resync_robot.core.errors import ConfigError, UnknownNameError
 
 if TYPE_CHECKING:
     from resync_robot.core.rig import Rig
-    from resync_robot.core.task import Domain, Task
+    from resync_robot.core.task import Domain
     from resync_robot.planning.execute import Model, Reaction
 
 METHODS = ("resync", "rc", "initial")
-EVALUATION_WORLDS = 2**62
-"""Entropy that sets the worlds of evaluation apart from every training seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +88,7 @@ def evaluate(config: EvaluateConfig) -> None:
         ResyncError: bad input, or a library that cannot be used.
     """
     from resync_robot.core.library import load_library
-    from resync_robot.deploy import SHIPPED
+    from resync_robot.knowledge import shipped_library
     from resync_robot.progress import Stages, say
     from resync_robot.run_folder import git_hash, write_json
     from sim_training.domains import find_domain
@@ -100,7 +98,7 @@ def evaluate(config: EvaluateConfig) -> None:
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     if config.episodes < 1:
         raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
-    paths = config.library or (SHIPPED,)
+    paths = config.library or (shipped_library(domain.name),)
     hashes = [load_library(path).content_hash for path in paths]
     jobs = [
         Job(library, method, scenario, seed, episode)
@@ -128,15 +126,6 @@ def evaluate(config: EvaluateConfig) -> None:
             "episodes": config.episodes,
         }
         write_json(config.json, {"provenance": provenance, "rows": [vars(r) for r in rows]})
-
-
-def world_task(domain: Domain, scenario: str, seed: int, episode: int) -> Task:
-    """The world of one evaluation episode: a pure function of its arguments, drawn apart from all training."""
-    import numpy as np
-
-    place = list(domain.scenarios).index(scenario)
-    rng = np.random.default_rng([EVALUATION_WORLDS % 2**32, place, seed, episode])
-    return domain.scenario(scenario).sample(rng, int(rng.integers(2**31)))
 
 
 def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
@@ -211,6 +200,7 @@ def _run(context: _Context, job: Job) -> Row:
     import time
 
     from resync_robot.planning.execute import plan_f
+    from sim_training.domains import world_task
     from sim_training.mine import is_at_rest
     from sim_training.world import SimWorld
 

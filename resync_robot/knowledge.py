@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import RETRAIN, Library, Record
 from resync_robot.core.rig import Rig
@@ -9,6 +11,11 @@ from resync_robot.core.task import Domain
 from resync_robot.learning.model import load_concepts
 from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.execute import Affordance, Model
+
+
+def shipped_library(domain: str) -> Path:
+    """Where the library lies that comes with the program."""
+    return Path(__file__).parent / "shipped" / domain
 
 
 def initial_model(domain: Domain, rig: Rig) -> Model:

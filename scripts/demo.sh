@@ -3,15 +3,9 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-out=runs/demo
 library=resync_robot/shipped/cornered-insertion-s
 if [ ! -e "$library/library.json" ]; then
-  library=$out/training/library
-  [ -e "$library/library.json" ] || resync-robot train-sim --preset quick --out "$out/training"
+  library=runs/demo-training/library
+  [ -e "$library/library.json" ] || resync-robot train-sim --preset quick --out runs/demo-training
 fi
-resync-robot deploy --backend sim --library "$library" --scenario s1 --episodes 1 --perception camera --out "$out/episodes"
-echo
-echo "The recording is in $out/episodes. Look at it:"
-for episode in "$out"/episodes/*; do
-  echo "  .venv/bin/resync-robot review $episode"
-done
+resync-robot deploy --backend sim --library "$library" --scenario s1 --episodes 1 --perception camera

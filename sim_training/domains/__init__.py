@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from resync_robot.core.errors import UnknownNameError
-from resync_robot.core.task import Domain
+from resync_robot.core.task import Domain, Task
 from sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
 
 DOMAINS: dict[str, Domain] = {CORNERED_INSERTION_S.name: CORNERED_INSERTION_S}
@@ -14,3 +16,14 @@ def find_domain(name: str) -> Domain:
     if name not in DOMAINS:
         raise UnknownNameError("domain", name, list(DOMAINS))
     return DOMAINS[name]
+
+
+EVALUATION_WORLDS = 20_101_984
+"""Entropy that sets the worlds of evaluation apart from those of every training seed."""
+
+
+def world_task(domain: Domain, scenario: str, seed: int, episode: int) -> Task:
+    """The world of one evaluation episode: a pure function of its arguments, drawn apart from all training."""
+    place = list(domain.scenarios).index(scenario)
+    rng = np.random.default_rng([EVALUATION_WORLDS, place, seed, episode])
+    return domain.scenario(scenario).sample(rng, int(rng.integers(2**31)))
