@@ -97,9 +97,7 @@ def deploy(config: DeployConfig) -> int:
         succeeded += reached
         verdict = "goal reached" if reached else f"failed ({result.end.value}: {result.reason})"
         say(f"Episode {i + 1}/{len(tasks)}: {verdict}; {len(result.transitions)} skills. Recording: {path}")
-    say(
-        f"{succeeded} of {len(tasks)} episodes reached the goal. Review one:  resync-robot review {path} [--save FILE.rrd]"
-    )
+    say(f"{succeeded} of {len(tasks)} episodes reached the goal. Review:  resync-robot review {path}")
     return 0 if succeeded == len(tasks) or config.dry_run else 3
 
 

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import RETRAIN, Library, Record
 from resync_robot.core.rig import Rig
+from resync_robot.core.skill import Skill
+from resync_robot.core.symbols import Type
 from resync_robot.core.task import Domain
-from resync_robot.learning.model import load_concepts
+from resync_robot.learning.failures import PairGaussian
+from resync_robot.learning.model import Concepts, load_concepts
 from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.execute import Affordance, Model
+from resync_robot.planning.pddl import domain_to_pddl
 
 
 def shipped_library(domain: str) -> Path:
@@ -46,7 +53,40 @@ def learned_model(domain: Domain, rig: Rig, library: Library) -> Model:
     predicates, classifiers, operators = load_concepts(library.domain_pddl, library.predicates, types, known)
     affordances = {
         skill: Affordance(str(entry["predicate"]), int(entry["argument"]))
-        for skill, entry in library.provenance.get("affordance_of", {}).items()
+        for skill, entry in library.execution.get("affordances", {}).items()
     }
-    with_skill = model_with_recovery(domain, rig, library.skills[domain.recovery])
-    return Model(with_skill.skills, Abstraction(predicates, classifiers), operators, affordances)
+    skills = dict(model_with_recovery(domain, rig, library.skills[domain.recovery]).skills)
+    for variant, base in library.execution.get("variants", {}).items():
+        operator = next(o for o in operators if o.name == variant)
+        skills[variant] = _variant(variant, skills[base], tuple(v.type for v in operator.parameters))
+    return Model(skills, Abstraction(predicates, classifiers), operators, affordances)
+
+
+def make_library(
+    domain: Domain,
+    rig: Rig,
+    recovery: Record,
+    gaussians: Mapping[str, PairGaussian],
+    concepts: Concepts,
+    provenance: Mapping[str, Any],
+) -> Library:
+    """What a training run saves; `learned_model` is the way back."""
+    return Library(
+        domain=domain.name,
+        rig_hash=rig.hash,
+        domain_pddl=domain_to_pddl(domain.name, domain.types, concepts.predicates, concepts.operators),
+        predicates=concepts.records,
+        skills={domain.recovery: recovery},
+        gaussians={name: g.to_json() for name, g in gaussians.items()},
+        provenance=provenance,
+        execution={
+            "affordances": concepts.report.get("affordance_of", {}),
+            "variants": concepts.report.get("variants", {}),
+        },
+    )
+
+
+def _variant(name: str, base: Skill, types: tuple[Type, ...]) -> Skill:
+    """The published formulation's symbol for an attempt that is expected to fail: the same skill by another name."""
+    count = len(base.types)
+    return replace(base, name=name, types=types, start=lambda objects, first: base.start(objects[:count], first))

@@ -113,7 +113,6 @@ def _quiet_threads() -> None:
 
 def _run(config: TrainConfig, domain: Domain, folder: RunFolder) -> None:
     from resync_robot import stages
-    from resync_robot.core.rig import load_rig
     from resync_robot.learning.concepts import learn_concepts
     from resync_robot.progress import Stages
 
@@ -150,7 +149,7 @@ def _run(config: TrainConfig, domain: Domain, folder: RunFolder) -> None:
                     f"no operator was learned for {domain.recovery}", "train with more dreams: --preset full"
                 )
         with folder.timed("save"), bars.stage("save"):
-            _save(config, domain, folder, load_rig().hash, mined, record, gaussians, concepts)
+            _save(config, domain, folder, mined, record, gaussians, concepts)
     _report(domain, folder, concepts)
 
 
@@ -158,7 +157,6 @@ def _save(
     config: TrainConfig,
     domain: Domain,
     folder: RunFolder,
-    rig_hash: str,
     mined: Mined,
     record: Record,
     gaussians: dict[str, PairGaussian],
@@ -167,32 +165,26 @@ def _save(
     from importlib.metadata import version
 
     from resync_robot import __version__
-    from resync_robot.core.library import Library, save_library
-    from resync_robot.planning.pddl import domain_to_pddl
+    from resync_robot.core.library import save_library
+    from resync_robot.core.rig import load_rig
+    from resync_robot.knowledge import make_library
     from resync_robot.plots import draw_learning_curve
 
     metrics = folder.metrics
     folder.record("concepts", {"report": concepts.report})
-    library = Library(
-        domain=domain.name,
-        rig_hash=rig_hash,
-        domain_pddl=domain_to_pddl(domain.name, domain.types, concepts.predicates, concepts.operators),
-        predicates=concepts.records,
-        skills={domain.recovery: record},
-        gaussians={name: g.to_json() for name, g in gaussians.items()},
-        provenance={
-            **_settings(config),
-            "version": __version__,
-            "packages": {p: version(p) for p in ("torch", "sapien", "numpy", "pyperplan")},
-            "failure": {
-                "skill": mined.culprit.skill,
-                "object": mined.culprit.failure_object.name,
-                "relevant": mined.relevant.name,
-            },
-            "affordance_of": concepts.report.get("affordance_of", {}),
-            "figures": {s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
+    culprit = mined.culprit
+    provenance = {
+        **_settings(config),
+        "version": __version__,
+        "packages": {p: version(p) for p in ("torch", "sapien", "numpy", "pyperplan")},
+        "failure": {
+            "skill": culprit.skill,
+            "object": culprit.failure_object.name,
+            "relevant": mined.relevant.name,
         },
-    )
+        "figures": {s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
+    }
+    library = make_library(domain, load_rig(), record, gaussians, concepts, provenance)
     save_library(library, folder.library)
     folder.record("save", {"content_hash": library.content_hash})
     draw_learning_curve(metrics["recovery"]["curve"], folder.path / "recovery.png")

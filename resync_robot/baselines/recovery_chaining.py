@@ -27,7 +27,7 @@ class RecoveryChaining:
     def __init__(self, recovery: Skill, record: Record) -> None:
         self._recovery = recovery
         weights = {k.removeprefix("failed."): v for k, v in record.tensors.items() if k.startswith("failed.")}
-        self._failed = Terminal.from_record(Record(record.meta["failed"], weights))
+        self._failed = Terminal.from_record(Record(record.meta.get("failed", {}), weights))
 
     def __call__(self, failed: GroundSkill, state: State) -> GroundSkill | None:
         robot, box = state.of_type(ROBOT)[0], state.of_type(BOX)[0]

@@ -1,5 +1,9 @@
 """One tree of errors. A message says what happened, where, what is allowed, and what to type next."""
 
+from __future__ import annotations
+
+from typing import Any
+
 
 class ResyncError(Exception):
     """Base of every error this package raises on purpose; the CLI prints it and exits with code 2.
@@ -13,6 +17,11 @@ class ResyncError(Exception):
         super().__init__(what if not fix else f"{what}\n  -> {fix}")
         self.what = what
         self.fix = fix
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The default calls the class with the finished message, which a subclass with arguments of its own refuses;
+        # an error of a worker process would then arrive as a broken pool.
+        return _rebuild, (type(self), self.args, self.__dict__)
 
 
 class ConfigError(ResyncError):
@@ -52,3 +61,9 @@ class RenderError(ResyncError):
 
 class TrainingError(ResyncError):
     """A training phase that cannot produce what the next one needs."""
+
+
+def _rebuild(kind: type[ResyncError], args: tuple[Any, ...], fields: dict[str, Any]) -> ResyncError:
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(fields)
+    return error

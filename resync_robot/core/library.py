@@ -5,6 +5,7 @@
       domain.pddl           types, predicates, operators
       predicates/NAME.json  signature, form, effects;  NAME.safetensors  classifier weights
       skills/NAME.json      signature, settings;       NAME.safetensors  policy and terminal weights
+      execution.json        which learned atom each skill relies on, and other names of skills
       gaussians.json        pair Gaussians of failures and recoveries
       provenance.json       git hash, seeds, versions, figures, durations
 
@@ -51,6 +52,7 @@ class Library:
     skills: Mapping[str, Record]
     gaussians: Mapping[str, Any]
     provenance: Mapping[str, Any]
+    execution: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def content_hash(self) -> str:
@@ -106,7 +108,12 @@ def load_library(folder: Path) -> Library:
         found = manifest.get("version") if isinstance(manifest, dict) else None
         raise LibraryError(f"{folder} is a library of version {found}, this program reads version {VERSION}", RETRAIN)
     listed = manifest.get("files")
-    if not isinstance(listed, dict) or not {"domain.pddl", "gaussians.json", "provenance.json"} <= set(listed):
+    if not isinstance(listed, dict) or not {
+        "domain.pddl",
+        "execution.json",
+        "gaussians.json",
+        "provenance.json",
+    } <= set(listed):
         raise LibraryError(f"{folder / 'library.json'} has no full list of files", RETRAIN)
     contents: dict[str, bytes] = {}
     for name, digest in listed.items():
@@ -128,12 +135,14 @@ def load_library(folder: Path) -> Library:
         skills=_records(folder, contents, "skills"),
         gaussians=_parse(folder, "gaussians.json", contents["gaussians.json"]),
         provenance=_parse(folder, "provenance.json", contents["provenance.json"]),
+        execution=_parse(folder, "execution.json", contents["execution.json"]),
     )
 
 
 def _files(library: Library) -> dict[str, bytes]:
     contents = {
         "domain.pddl": library.domain_pddl.encode(),
+        "execution.json": _json(library.execution),
         "gaussians.json": _json(library.gaussians),
         "provenance.json": _json(library.provenance),
     }

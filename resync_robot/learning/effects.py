@@ -122,7 +122,10 @@ def candidates(recovery: str, skills: Sequence[str], parameters: Mapping[str, Se
 
 
 def affordances(recovery: str, skills: Sequence[str], parameters: Mapping[str, Sequence[Type]]) -> list[Candidate]:
-    """Candidates that the recovery achieves and that one skill's attempts label: "ready for that skill"."""
+    """Candidates that the recovery achieves and that one skill's attempts label: "ready for that skill".
+
+    After the recovery they hold; that they did not before is for the skill's own failures to say.
+    """
     return [
         Candidate(types, (Effect(recovery, gained, 1),), Attempts(skill, needed))
         for types in signatures(parameters[recovery])
@@ -218,7 +221,10 @@ def _direct(r: int, run: Run, candidate: Candidate, explained: Collection[Step])
         for effect in candidate.effects:
             if effect.skill == step.skill:
                 for args in affected(step, effect.slots, candidate.types, run.objects):
-                    hold(step.before, [args], (1 - effect.sign) // 2)
+                    # What a skill's attempts label may have held before: the block that one skill could not take
+                    # may well have served another.
+                    if candidate.attempts is None:
+                        hold(step.before, [args], (1 - effect.sign) // 2)
                     hold(step.after, [args], (1 + effect.sign) // 2)
     if (source := candidate.attempts) is not None:
         for step, value in [*((s, 1) for s in run.steps), *((s, 0) for s in run.failures if s not in explained)]:

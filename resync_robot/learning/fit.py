@@ -8,8 +8,9 @@ what is learned survives the camera.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -35,6 +36,8 @@ class FitConfig:
         min_steps_per_epoch: small data sets are cut into at least so many batches.
         pairs_per_epoch: invariances seen in one epoch, drawn anew each time; most say the same thing.
         propagated_weight: of a label that holds by propagation, against one that was observed.
+        caution: how much more a failed attempt weighs than a successful one. To recover in vain costs a moment, to
+            fail with a block in the hand costs the task.
         position_m, angle: pose noise, standard deviations.
     """
 
@@ -47,6 +50,7 @@ class FitConfig:
     pairs_per_epoch: int = 1024
     labels_per_epoch: int = 4096
     propagated_weight: float = 0.3
+    caution: float = 3.0
     position_m: float = 0.002
     angle: float = float(np.deg2rad(0.5))
 
@@ -94,7 +98,7 @@ def fit(dataset: Dataset, candidate: Candidate, supervision: Supervision, seed: 
     Raises:
         TrainingError: the data force no value, or only one, so there is nothing to tell apart.
     """
-    keys, examples = _index(dataset, supervision, config)
+    keys, examples = _index(dataset, supervision, candidate.attempts is not None, config)
     if len(set(examples.values.tolist())) < 2:
         raise TrainingError(f"nothing tells true from false for the candidate {candidate}")
     rows = gather([dataset.states[s] for s, _ in keys], [args for _, args in keys])
@@ -126,7 +130,15 @@ def fit(dataset: Dataset, candidate: Candidate, supervision: Supervision, seed: 
     return Fit(classifier, train, best_loss, accuracy)
 
 
-def _train(net, examples, held_out, inputs, rng, config):  # type: ignore[no-untyped-def]
+def _train(
+    net: nn.Sequential,
+    examples: _Examples,
+    held_out: np.ndarray,
+    inputs: Callable[[], Tensor],
+    rng: np.random.Generator,
+    config: FitConfig,
+) -> tuple[dict[str, Any], float]:
+    """The best weights by validation loss, and that loss."""
     optimiser = torch.optim.AdamW(net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
     label_pool = np.flatnonzero(~held_out[examples.label_run])
     pair_pool = np.flatnonzero(~held_out[examples.pair_run])
@@ -135,6 +147,9 @@ def _train(net, examples, held_out, inputs, rng, config):  # type: ignore[no-unt
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, config.learning_rate, config.epochs * steps)
     best, best_loss = copy.deepcopy(net.state_dict()), float("inf")
     check = inputs()
+    val_labels, val_pairs = held_out[examples.label_run], held_out[examples.pair_run]
+    judged = np.union1d(examples.groups[val_labels], examples.pairs[val_pairs])
+    logits_of_all = torch.zeros(len(check))
     for _ in range(config.epochs):
         x = inputs()
         net.train()
@@ -152,7 +167,8 @@ def _train(net, examples, held_out, inputs, rng, config):  # type: ignore[no-unt
             schedule.step()
         net.eval()
         with torch.no_grad():
-            now = float(_loss(net(check)[:, 0], examples, held_out[examples.label_run], held_out[examples.pair_run]))
+            logits_of_all[judged] = net(check[judged])[:, 0]
+            now = float(_loss(logits_of_all, examples, val_labels, val_pairs))
         if now < best_loss:
             # A deep copy: a plain dict of the state would alias the weights that go on training.
             best, best_loss = copy.deepcopy(net.state_dict()), now
@@ -160,7 +176,7 @@ def _train(net, examples, held_out, inputs, rng, config):  # type: ignore[no-unt
 
 
 def _index(
-    dataset: Dataset, supervision: Supervision, config: FitConfig
+    dataset: Dataset, supervision: Supervision, attempts: bool, config: FitConfig
 ) -> tuple[list[tuple[int, tuple[Object, ...]]], _Examples]:
     """Rows are (state, arguments); a moment seen in several states gives each of them the label."""
     keys: dict[tuple[int, tuple[Object, ...]], int] = {}
@@ -184,10 +200,12 @@ def _index(
         pair_run.append(same.run)
     weight = np.array(weights, dtype=np.float32)
     value = np.array(values, dtype=np.float32)
-    # Both values weigh the same in total, however often each was seen.
+    # Both values weigh the same in total, however often each was seen; failed attempts more.
     for v in (0.0, 1.0):
         if (total := weight[value == v].sum()) > 0:
             weight[value == v] *= len(weight) / 2 / total
+    if attempts:
+        weight[value == 0.0] *= config.caution
     return list(keys), _Examples(
         np.array(groups, dtype=np.int64).reshape(-1, most),
         value,

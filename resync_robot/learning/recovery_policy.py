@@ -161,7 +161,10 @@ class ActorCritic(nn.Module):
     @staticmethod
     def from_record(record: Record) -> ActorCritic:
         """The saved actor. Raises LibraryError where weights or the normaliser are missing or misshaped."""
-        net = ActorCritic(int(record.meta["width"]), int(record.meta["depth"]))
+        try:
+            net = ActorCritic(int(record.meta["width"]), int(record.meta["depth"]))
+        except (KeyError, TypeError, ValueError):
+            raise LibraryError(f"the recovery policy's record has no width and depth: {record.meta}", RETRAIN) from None
         weights: Mapping[str, np.ndarray] = record.tensors
         for name, parameter in net.state_dict().items():
             if name.startswith("critic"):

@@ -47,7 +47,12 @@ class Terminal(nn.Module):
     @staticmethod
     def from_record(record: Record) -> Terminal:
         """Raises LibraryError where weights or the normaliser are missing or misshaped."""
-        terminal = Terminal(int(record.meta["inputs"]))
+        try:
+            terminal = Terminal(int(record.meta["inputs"]))
+        except (KeyError, TypeError, ValueError):
+            raise LibraryError(
+                f"a terminal function's record has no number of inputs: {record.meta}", RETRAIN
+            ) from None
         for name in terminal._saved():
             value = terminal.state_dict()[name]
             if name not in record.tensors or tuple(record.tensors[name].shape) != tuple(value.shape):
