@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import multiprocessing as mp
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
@@ -44,9 +46,31 @@ def _start(make_context: Callable[[], Any]) -> None:
     global _context
     import torch
 
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
     torch.set_num_threads(1)
-    _context = make_context()
+    try:
+        _context = make_context()
+    except Exception as error:
+        # Raised here it would only break the pool; raised by a call it reaches who asked.
+        _context = _Failed(error)
+
+
+def _leave_with_parent() -> None:
+    """A worker waits for work on a pipe that it holds open itself, so it would outlive a parent that was killed."""
+    parent = mp.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@dataclass(frozen=True)
+class _Failed:
+    """In place of a context that could not be made."""
+
+    error: Exception
 
 
 def _call(function: Callable[[Any, Item], Result], item: Item) -> Result:
+    if isinstance(_context, _Failed):
+        raise _context.error
     return function(_context, item)
