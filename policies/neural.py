@@ -40,8 +40,8 @@ class RecoverySkillSettings:
 def recovery_skill(name: str, record: Record, rig: Rig, settings: RecoverySkillSettings | None = None) -> Skill:
     """The skill of a library record, over (robot, block, box). Raises LibraryError on a broken record."""
     s = settings or RecoverySkillSettings()
-    net = ActorCritic.from_record(Record(record.meta["policy"], _part(record, "policy.")))
-    done = Terminal.from_record(Record(record.meta["terminal"], _part(record, "terminal.")))
+    net = ActorCritic.from_record(Record(record.meta.get("policy", {}), _part(record, "policy.")))
+    done = Terminal.from_record(Record(record.meta.get("terminal", {}), _part(record, "terminal.")))
     return skill_from(name, net.act, done.probability, rig, s)
 
 
