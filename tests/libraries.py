@@ -1,0 +1,43 @@
+"""A library that is whole and knows nothing: a random recovery policy, and the given model of its domain."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from resync_robot.core.library import Library, Record
+from resync_robot.core.rig import load_rig
+from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, ActorCritic
+from resync_robot.learning.terminals import Terminal
+from resync_robot.planning.pddl import domain_to_pddl
+from sim_training.domains import find_domain
+
+DOMAIN = "cornered-insertion-s"
+
+
+def recovery_record(failed: float | None = None) -> Record:
+    """A recovery skill's record; its failure detector answers `failed` whatever it sees, where that is given."""
+    torch.manual_seed(0)
+    policy, terminal, detector = ActorCritic(width=8, depth=1), Terminal(OBSERVATION_SIZE), Terminal(OBSERVATION_SIZE)
+    tensors = {f"policy.{k}": v for k, v in policy.to_tensors().items()}
+    for name, net in (("terminal", terminal), ("failed", detector)):
+        tensors |= {f"{name}.{k}": v for k, v in net.to_record().tensors.items()}
+    if failed is not None:
+        tensors["failed.net.12.weight"] = np.zeros_like(tensors["failed.net.12.weight"])
+        tensors["failed.net.12.bias"] = np.array([np.log(failed / (1 - failed))], dtype=np.float32)
+    inputs = {"inputs": OBSERVATION_SIZE}
+    return Record({"policy": {"width": 8, "depth": 1}, "terminal": inputs, "failed": inputs}, tensors)
+
+
+def given_library() -> Library:
+    """The given predicates and operators as a library, with that recovery beside them."""
+    domain = find_domain(DOMAIN)
+    return Library(
+        domain=domain.name,
+        rig_hash=load_rig().hash,
+        domain_pddl=domain_to_pddl(domain.name, domain.types, domain.predicates, domain.operators),
+        predicates={},
+        skills={domain.recovery: recovery_record()},
+        gaussians={},
+        provenance={"seed": 0},
+    )
