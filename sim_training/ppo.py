@@ -9,24 +9,25 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from resync_robot.core import kinematics, spatial
 from resync_robot.core.rig import Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
-from resync_robot.core.vocabulary import BOX as BOX_TYPE
 from resync_robot.learning import recovery_policy as view
 from resync_robot.learning.recovery_policy import ActorCritic
-from sim_training.recovery import RecoverySettings, draw_starts, reward
+from sim_training.recovery import FailedWorlds, RecoverySettings, reward
 from sim_training.vector_env import RecoveryScenes
+
+if TYPE_CHECKING:
+    from sim_training.maniskill_env import ManiSkillScenes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +38,7 @@ class PpoSettings:
     total_steps: int = 400_000
     """Budget in control steps over all scenes."""
     stop_at: float = 0.98
-    """Sampled success rate over the last 400 episodes at which training ends early..."""
+    """Sampled success rate over the last 400 episodes (or one of each scene) at which training ends early..."""
     least_steps: int = 150_000
     """...but not before this many steps, for the rare corners of the randomisation."""
     epochs: int = 4
@@ -55,78 +56,105 @@ class PpoSettings:
     """Share of resets that build another world: new sizes, box and friction."""
 
 
+class Scenes(Protocol):
+    """Simulated scenes, one failed world each, whose block and arm can be put anywhere: `RecoveryScenes` (processes,
+    numpy) or `ManiSkillScenes` (tensors on a device). Arrays are of shape (count, ...)."""
+
+    tasks: Sequence[Task]
+    block: Object
+    count: int
+
+    @property
+    def joints(self) -> Any: ...
+    @property
+    def blocks(self) -> Any: ...
+    def step(self, q: Any, opening: float = 0.0) -> None: ...
+    def reset(self, resets: Sequence[tuple[int, int, Any, Any]]) -> None: ...
+
+
 class RecoveryEnv:
-    """The recovery MDP over `RecoveryScenes`: projected states in, rewards out, finished scenes reset themselves."""
+    """The recovery MDP over `Scenes`: projected states in, rewards out, finished scenes reset themselves.
 
-    def __init__(
-        self, scenes: RecoveryScenes, rig: Rig, settings: RecoverySettings, gamma: float, seed: int, rebuild: float
-    ):
-        self.scenes, self.rig, self.settings, self.gamma, self.rebuild = scenes, rig, settings, gamma, rebuild
-        self.random = torch.Generator().manual_seed(seed)
+    Everything it holds is a tensor on the device of the scenes.
+
+    Args:
+        rebuild: share of resets that put another world into the scene; 0 where scenes cannot be rebuilt.
+    """
+
+    def __init__(self, scenes: Scenes, rig: Rig, settings: RecoverySettings, gamma: float, seed: int, rebuild: float):
+        self.scenes, self.settings, self.gamma, self.rebuild = scenes, settings, gamma, rebuild
+        measured = scenes.joints
+        xp, device = (torch, measured.device) if isinstance(measured, Tensor) else (np, torch.device("cpu"))
+        self.worlds = FailedWorlds(scenes.tasks, scenes.block, rig, xp, device)
+        self.random = torch.Generator(device).manual_seed(seed)
         self._draw = np.random.default_rng(seed)
-        self._base_T_world = spatial.inverse(rig.arm.world_T_base)
-        self._tip_T_flange = spatial.inverse(rig.gripper.flange_T_tip)
-        n = scenes.count
-        self.task_index = np.arange(n) % len(scenes.tasks)
-        self._failures = torch.stack([self._failure_state(t) for t in scenes.tasks])
-        self._yaws = np.array([_tool_yaw(f) for f in self._failures])
-        self.steps = torch.zeros(n, dtype=torch.long)
-        self.commanded = torch.zeros(n, 3)
-        self.x = torch.zeros(n, view.PROJECTED_SIZE)
-        self.reset(np.arange(n))
+        self._everyone = torch.arange(scenes.count, device=device)
+        self.task_index = self._everyone % len(scenes.tasks)
+        self.steps = torch.zeros(scenes.count, dtype=torch.long, device=device)
+        self.commanded = torch.zeros(scenes.count, 3, device=device)
+        self.x = torch.zeros(scenes.count, view.PROJECTED_SIZE, device=device)
+        self.reset(self._everyone)
 
-    def _failure_state(self, task: Task) -> Tensor:
-        box = next(o for o in task.objects if o.type == BOX_TYPE)
-        row = np.concatenate([np.zeros(6), task.initial[self.scenes.block], task.initial[box]])
-        return torch.as_tensor(row, dtype=torch.float32)
-
-    def reset(self, which: np.ndarray) -> None:
+    def reset(self, which: Any) -> None:
         """Begin new episodes in the given scenes."""
-        for i in which:
-            if self._draw.random() < self.rebuild:
-                self.task_index[i] = self._draw.integers(len(self.scenes.tasks))
-        failure = self._failures[self.task_index[which]]
-        block, tip = draw_starts(failure, self.random)
-        poses = failure[:, view.BLOCK][:, :7].double().numpy().copy()
-        poses[:, :2] = block
-        q = self.joints_at(tip.double().numpy(), which)
-        self.scenes.reset([(int(i), int(self.task_index[i]), p, c) for i, p, c in zip(which, poses, q, strict=True)])
+        which = torch.as_tensor(which, device=self.x.device)
+        if self.rebuild > 0:
+            for i in which.tolist():
+                if self._draw.random() < self.rebuild:
+                    self.task_index[i] = int(self._draw.integers(len(self.scenes.tasks)))
+        task = self.task_index[which]
+        poses, q, tip = self.worlds.draw_starts(task, self.random)
+        self.scenes.reset(list(zip(which.tolist(), task.tolist(), poses, q, strict=True)))
         self.commanded[which] = tip
         self.steps[which] = 0
         self.x[which] = self._read(which)
 
-    def joints_at(self, tip: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """(k, 6) joints that put the tips at (k, 3), tool down and square to the box."""
-        rotation = spatial.rotation_about("z", self._yaws[self.task_index[which]]) @ spatial.rotation_about("x", np.pi)
-        flange = self._base_T_world @ spatial.transform(rotation, tip) @ self._tip_T_flange
-        q = kinematics.inverse_branch(flange, kinematics.WORK_BRANCH)
-        home = self.rig.arm.home
-        return q + 2 * np.pi * np.round((home - q) / (2 * np.pi))
-
-    def _read(self, which: np.ndarray) -> Tensor:
-        tip = self.rig.tip_pose(self.scenes.joints[which])
-        x = self._failures[self.task_index[which]].clone()
-        x[:, view.TIP] = torch.as_tensor(tip[:, :3, 3], dtype=torch.float32)
-        x[:, view.COMMANDED] = self.commanded[which]
-        x[:, 6:13] = torch.as_tensor(self.scenes.blocks[which], dtype=torch.float32)
-        return x
+    def _read(self, which: Tensor) -> Tensor:
+        i = self.worlds.index(which)
+        return self.worlds.states(
+            self.scenes.joints[i], self.scenes.blocks[i], self.commanded[which], self.task_index[which]
+        )
 
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Reward, success, terminated and truncated, each (n,); `x` is then the state to act from."""
-        everyone = np.arange(self.scenes.count)
         previous = self.x
         self.commanded = view.commanded_tip(previous, action)
-        self.scenes.step(self.joints_at(self.commanded.double().numpy(), everyone))
-        self.x = self._read(everyone)
+        self.scenes.step(self.worlds.joints_at(self.commanded, self.task_index))
+        self.x = self._read(self._everyone)
         self.steps += 1
         gained, success, failed = reward(self.x, previous, self.gamma, self.settings)
         truncated = (self.steps >= self.settings.horizon) & ~success & ~failed
         return gained, success, success | failed, truncated
 
 
-def _tool_yaw(failure: Tensor) -> float:
-    w, z = float(failure[view.BOX][3]), float(failure[view.BOX][6])
-    return float(spatial.wrap(2 * np.arctan2(z, w), np.pi / 2))
+DEVICE_SCENES = 4096
+
+
+def scaled_to_device(settings: PpoSettings, device: str) -> PpoSettings:
+    """The same training for thousands of scenes on a GPU: larger batches, and a budget that lets as many updates
+    happen. Their worlds stay as they were built, for there are enough of them."""
+    if device == "cpu":
+        return settings
+    more = DEVICE_SCENES // settings.scenes
+    return replace(
+        settings,
+        scenes=DEVICE_SCENES,
+        minibatch=settings.minibatch * more // 4,
+        total_steps=settings.total_steps * more // 4,
+        least_steps=settings.least_steps * more // 4,
+        anneal_steps=settings.anneal_steps * more // 4,
+        rebuild=0.0,
+    )
+
+
+def _make_scenes(
+    tasks: Sequence[Task], block: Object, rig: Rig, count: int, workers: int, device: str
+) -> RecoveryScenes | ManiSkillScenes:
+    if device == "cpu":
+        return RecoveryScenes(tasks, block, rig, count, workers)
+    from sim_training.maniskill_env import ManiSkillScenes  # its import takes seconds
+
+    return ManiSkillScenes(tasks, block, rig, count, device)
 
 
 def train_recovery(
@@ -139,30 +167,34 @@ def train_recovery(
     recovery: RecoverySettings,
     checkpoint: Path,
     progress: Callable[[int, int, float], None],
+    device: str = "cpu",
 ) -> tuple[ActorCritic, dict[str, Any]]:
     """Learn a recovery from failure worlds; resumes from `checkpoint` where one lies.
 
     Args:
         tasks: the mined failures (D^F), each as a task whose initial state fails.
+        workers: processes that step the scenes on the CPU.
         progress: called with (steps so far, budget, success rate).
+        device: where scenes and networks live; not "cpu": ManiSkill's scenes on that GPU.
 
     Returns:
-        The policy and its learning curve: lists of steps, success rate, mean return and seconds.
+        The policy, on the CPU, and its learning curve: lists of steps, success rate, mean return and seconds.
     """
     torch.manual_seed(seed)
-    net = ActorCritic()
+    net = ActorCritic().to(device)
     optimiser = torch.optim.Adam(net.parameters(), lr=settings.learning_rate, eps=1e-5)
     curve: dict[str, list[float]] = {"steps": [], "success": [], "return": [], "seconds": []}
     done_steps, spent = 0, 0.0
     if checkpoint.exists():
         done_steps, spent = _load(checkpoint, net, optimiser, curve)
-    finished: deque[float] = deque(maxlen=400)
-    returns: deque[float] = deque(maxlen=400)
+    window = max(400, settings.scenes)
+    finished: deque[float] = deque(maxlen=window)
+    returns: deque[float] = deque(maxlen=window)
     begun = time.monotonic() - spent
-    with RecoveryScenes(tasks, block, rig, settings.scenes, workers) as scenes:
+    with _make_scenes(tasks, block, rig, settings.scenes, workers, device) as scenes:
         env = RecoveryEnv(scenes, rig, recovery, settings.gamma, seed + done_steps, settings.rebuild)
-        running_return = torch.zeros(settings.scenes)
-        random = torch.Generator().manual_seed(seed + 1 + done_steps)
+        running_return = torch.zeros(settings.scenes, device=device)
+        random = torch.Generator(device).manual_seed(seed + 1 + done_steps)
         while done_steps < settings.total_steps:
             fraction = min(1.0, done_steps / settings.anneal_steps)
             std = settings.std_begin + fraction * (settings.std_end - settings.std_begin)
@@ -184,7 +216,7 @@ def train_recovery(
             if enough and done_steps >= settings.least_steps:
                 break
     _save(checkpoint, net, optimiser, curve)
-    return net.eval(), {"curve": curve}
+    return net.cpu().eval(), {"curve": curve}
 
 
 def _collect(
@@ -204,12 +236,12 @@ def _collect(
         observation = view.observe(env.x)
         with torch.no_grad():
             mean, value = net.act(observation), net.value(observation)
-        action = mean + std * torch.randn(mean.shape, generator=random)
+        action = mean + std * torch.randn(mean.shape, generator=random, device=mean.device)
         gained, success, terminated, truncated = env.step(action)
         ended = terminated | truncated
         with torch.no_grad():
             # A time-out is not the end of the world: what would have followed still counts.
-            bootstraps.append(torch.where(truncated, net.value(view.observe(env.x)), torch.zeros(len(ended))))
+            bootstraps.append(torch.where(truncated, net.value(view.observe(env.x)), torch.zeros_like(value)))
         observations.append(observation)
         actions.append(action)
         log_probs.append(_log_prob(action, mean, std))
@@ -221,7 +253,7 @@ def _collect(
             finished.extend(success[ended].float().tolist())
             returns.extend(running_return[ended].tolist())
             running_return[ended] = 0.0
-            env.reset(torch.nonzero(ended).flatten().numpy())
+            env.reset(torch.nonzero(ended).flatten())
     stacked = torch.stack(observations)
     if first:
         # The normaliser is fixed after the first batch, so that old and new actions are scored alike.
@@ -263,7 +295,7 @@ def _update(
 ) -> None:
     count = len(batch["advantage"])
     for _ in range(s.epochs):
-        order = torch.randperm(count, generator=random)
+        order = torch.randperm(count, generator=random, device=batch["advantage"].device)
         for begin in range(0, count, s.minibatch):
             part = {k: v[order[begin : begin + s.minibatch]] for k, v in batch.items()}
             advantage = part["advantage"]

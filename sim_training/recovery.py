@@ -6,12 +6,30 @@ fingers. Training checks the proxy against the real skill on fresh worlds and re
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from resync_robot.learning.recovery_policy import BLOCK, BOX, STUD, TIP, box_axes, tip_above_stud, up_axis, wall_gaps
+from resync_robot.core import kinematics, spatial
+from resync_robot.core.rig import Rig
+from resync_robot.core.symbols import Object
+from resync_robot.core.task import Task
+from resync_robot.core.vocabulary import BOX as BOX_TYPE
+from resync_robot.learning.recovery_policy import (
+    BLOCK,
+    BOX,
+    COMMANDED,
+    STUD,
+    TIP,
+    box_axes,
+    tip_above_stud,
+    up_axis,
+    wall_gaps,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,22 +91,99 @@ def draw_starts(x: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
 
     Args:
         x: (n, 27) projected failure states.
+        random: a generator on the device of `x`.
     """
     n = len(x)
-    kind = torch.rand(n, generator=random)
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=random, device=x.device)
+
+    kind = uniform(n)
     along_x, along_y = box_axes(x)
     centre, block = x[:, BOX][:, :2], x[:, BLOCK][:, :2]
     local = torch.stack([((block - centre) * along_x).sum(-1), ((block - centre) * along_y).sum(-1)], -1)
-    inward = torch.zeros(n, 2)
+    inward = torch.zeros(n, 2, device=x.device)
     mid_gap, near_goal = (kind >= 0.60) & (kind < 0.85), kind >= 0.85
-    inward[mid_gap] = 0.04 * torch.rand(int(mid_gap.sum()), 2, generator=random)
-    inward[near_goal] = 0.03 + 0.015 * torch.rand(int(near_goal.sum()), 2, generator=random)
+    inward[mid_gap] = 0.04 * uniform(int(mid_gap.sum()), 2)
+    inward[near_goal] = 0.03 + 0.015 * uniform(int(near_goal.sum()), 2)
     local = local - torch.sign(local) * inward
     block = centre + local[:, :1] * along_x + local[:, 1:] * along_y
     top = x[:, BLOCK][:, 2] + x[:, BLOCK][:, 9] / 2 + STUD
     spread = torch.where(kind < 0.30, 0.02, 0.012)[:, None]
-    planar = block + spread * (2 * torch.rand(n, 2, generator=random) - 1)
-    above = torch.where(
-        kind < 0.30, 0.05 + 0.03 * torch.rand(n, generator=random), 0.001 + 0.03 * torch.rand(n, generator=random)
-    )
+    planar = block + spread * (2 * uniform(n, 2) - 1)
+    above = torch.where(kind < 0.30, 0.05 + 0.03 * uniform(n), 0.001 + 0.03 * uniform(n))
     return block, torch.cat([planar, (top + above)[:, None]], -1)
+
+
+class FailedWorlds:
+    """The worlds that a recovery is learned in, batched: where episodes begin, what the policy's state is made of,
+    and the arm's way to a tip. Index `task` is a (k,) tensor of positions in `tasks` throughout.
+
+    Args:
+        tasks: failures, each as a task whose initial state fails.
+        block: the object that the policy moves.
+        xp: numpy for scenes that speak numpy (processes), torch for scenes whose tensors stay on a device.
+        device: where states and random draws live.
+    """
+
+    def __init__(self, tasks: Sequence[Task], block: Object, rig: Rig, xp: Any, device: torch.device) -> None:
+        self._xp, self.device = xp, device
+        rows = [_failure_state(task, block) for task in tasks]
+        yaws = np.array([_tool_yaw(row) for row in rows])
+        down = spatial.rotation_about("z", yaws) @ spatial.rotation_about("x", np.pi)
+        self.failures = torch.stack(rows).to(device)
+        self._world_T_tip = self.array(spatial.transform(down))
+        self._world_T_base = self.array(rig.arm.world_T_base)
+        self._base_T_world = self.array(spatial.inverse(rig.arm.world_T_base))
+        self._flange_T_tip = self.array(rig.gripper.flange_T_tip)
+        self._tip_T_flange = self.array(spatial.inverse(rig.gripper.flange_T_tip))
+        self._home = self.array(rig.arm.home)
+
+    def array(self, value: Any) -> Any:
+        """`value` in double precision, as the scenes speak: a numpy array or a tensor on the device."""
+        if self._xp is np:
+            return np.asarray(value, dtype=np.float64)
+        return torch.as_tensor(value, dtype=torch.float64, device=self.device)
+
+    def index(self, which: Tensor) -> Any:
+        """`which` as an index into the scenes' arrays."""
+        return which.numpy() if self._xp is np else which
+
+    def draw_starts(self, task: Tensor, random: torch.Generator) -> tuple[Any, Any, Tensor]:
+        """Where episodes begin: (k, 7) block poses and (k, 6) joints as the scenes speak, (k, 3) tip positions."""
+        failure = self.failures[task]
+        block, tip = draw_starts(failure, random)
+        poses = self.array(failure[:, BLOCK][:, :7])
+        poses[:, :2] = self.array(block)
+        return poses, self.joints_at(tip, task), tip
+
+    def joints_at(self, tip: Tensor, task: Tensor) -> Any:
+        """(k, 6) joints that put the tips at (k, 3), tool down and square to the box."""
+        xp = self._xp
+        world_T_tip = self._world_T_tip[self.index(task)]
+        world_T_tip[:, :3, 3] = self.array(tip)
+        q = kinematics.inverse_branch(self._base_T_world @ world_T_tip @ self._tip_T_flange, kinematics.WORK_BRANCH, xp)
+        return q + 2 * np.pi * xp.round((self._home - q) / (2 * np.pi))
+
+    def tip_at(self, joints: Any) -> Tensor:
+        """(k, 3) tip positions at (k, 6) joints."""
+        pose = self._world_T_base @ kinematics.forward(self.array(joints), self._xp) @ self._flange_T_tip
+        return torch.as_tensor(pose[:, :3, 3], dtype=torch.float32)
+
+    def states(self, joints: Any, blocks: Any, commanded: Tensor, task: Tensor) -> Tensor:
+        """(k, 27) projected states from what the scenes measure: (k, 6) joints and (k, 7) block poses."""
+        x = self.failures[task]
+        x[:, TIP], x[:, COMMANDED] = self.tip_at(joints), commanded
+        x[:, BLOCK.start : BLOCK.start + 7] = torch.as_tensor(blocks, dtype=torch.float32)
+        return x
+
+
+def _failure_state(task: Task, block: Object) -> Tensor:
+    """(27,) the projected failure, its tip left open."""
+    box = next(o for o in task.objects if o.type == BOX_TYPE)
+    return torch.as_tensor(np.concatenate([np.zeros(6), task.initial[block], task.initial[box]]), dtype=torch.float32)
+
+
+def _tool_yaw(failure: Tensor) -> float:
+    w, z = float(failure[BOX][3]), float(failure[BOX][6])
+    return float(spatial.wrap(2 * np.arctan2(z, w), np.pi / 2))
