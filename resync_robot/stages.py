@@ -29,7 +29,7 @@ from sim_training.domains import find_domain
 from sim_training.dream import DreamSpec, dream, dream_specs, useful
 from sim_training.mine import Attempt, attempt_task, is_at_rest, resample_failure
 from sim_training.parallel import parallel_map
-from sim_training.ppo import PpoSettings, RecoveryEnv, train_recovery
+from sim_training.ppo import PpoSettings, RecoveryEnv, scaled_to_device, train_recovery
 from sim_training.recovery import RecoverySettings, is_recovered
 from sim_training.vector_env import RecoveryScenes
 from sim_training.world import SimWorld
@@ -183,9 +183,20 @@ def _as_attempt(t: Trajectory) -> Trajectory:
 
 
 def learn_recovery(
-    domain: Domain, folder: RunFolder, preset: Preset, mined: Mined, seed: int, workers: int, progress: Progress
+    domain: Domain,
+    folder: RunFolder,
+    preset: Preset,
+    mined: Mined,
+    seed: int,
+    workers: int,
+    progress: Progress,
+    device: str = "cpu",
 ) -> tuple[Record, PairGaussian]:
-    """PPO on the mined failures, its terminal functions, and the Gaussian of states after it."""
+    """PPO on the mined failures, its terminal functions, and the Gaussian of states after it.
+
+    Args:
+        device: where PPO's scenes and networks live; what it learned is then tried out on the CPU in any case.
+    """
     weights, meta = folder.stages / "recovery.safetensors", folder.stages / "recovery.json"
     saved = read_json(meta)
     if saved is None:
@@ -197,10 +208,11 @@ def learn_recovery(
             rig,
             seed,
             workers,
-            preset.ppo,
+            scaled_to_device(preset.ppo, device),
             settings,
             folder.stages / "ppo.safetensors",
             lambda steps, budget, rate: progress(steps / budget, f"success {rate:.3f} after {steps // 1000} k steps"),
+            device,
         )
         terminal_data, after = _roll_out(net, tasks, mined, rig, settings, seed, workers)
         done, accuracy = train_terminal(*terminal_data["done"], seed)
