@@ -68,6 +68,7 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.core.library import load_library
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import learned_model, shipped_library
+    from resync_robot.planning.search import plan
     from resync_robot.progress import say
     from resync_robot.run_folder import RunFolder, default_folder
     from sim_training.domains import find_domain
@@ -76,11 +77,17 @@ def deploy(config: DeployConfig) -> int:
         raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
     if config.episodes < 1:
         raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
+    if config.seed < 0:
+        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     domain.scenario(config.scenario)
     library = load_library(config.library or shipped_library(domain.name))
     model = learned_model(domain, rig, library)
     tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
+    if config.goal is not None:
+        for task in tasks:
+            # A goal out of reach is a mistake of whoever typed it: said at once, before anything moves.
+            plan(model.operators, task.objects, model.abstraction.true_atoms(task.initial), task.goal)
     folder = RunFolder(config.out or default_folder("deploy"))
     say(
         "Poses from the wrist camera (RGB-D with simulated noise)."
@@ -88,7 +95,8 @@ def deploy(config: DeployConfig) -> int:
         else "Poses from the simulator (--perception oracle)."
     )
     say(
-        f"{domain.recovery} follows its block through the simulator's state while it runs; everything else is estimated."
+        f"{domain.recovery} follows its block through the simulator's state while it runs; "
+        "everything else is estimated."
     )
     succeeded = 0
     for i, task in enumerate(tasks):

@@ -90,7 +90,7 @@ def evaluate(config: EvaluateConfig) -> None:
     from resync_robot.core.library import load_library
     from resync_robot.knowledge import shipped_library
     from resync_robot.progress import Stages, say
-    from resync_robot.run_folder import git_hash, write_json
+    from resync_robot.run_folder import check_writable, git_hash, write_json
     from sim_training.domains import find_domain
     from sim_training.parallel import parallel_map
 
@@ -98,6 +98,10 @@ def evaluate(config: EvaluateConfig) -> None:
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     if config.episodes < 1:
         raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
+    if not config.seeds or min(config.seeds) < 0:
+        raise ConfigError(f"--seeds is {config.seeds}", "give one or more whole numbers from 0 on")
+    if config.json:
+        check_writable(config.json)
     paths = config.library or (shipped_library(domain.name),)
     hashes = [load_library(path).content_hash for path in paths]
     jobs = [
@@ -188,9 +192,10 @@ def _context(domain_name: str, paths: tuple[str, ...], perception: str) -> _Cont
     models: dict[tuple[int, str], tuple[Model, Reaction | None]] = {}
     for i, path in enumerate(paths):
         library = load_library(Path(path))
+        # First, for it says what a library lacks.
+        models[i, "resync"] = learned_model(domain, rig, library), None
         record = library.skills[domain.recovery]
         with_skill = model_with_recovery(domain, rig, record)
-        models[i, "resync"] = learned_model(domain, rig, library), None
         models[i, "rc"] = with_skill, RecoveryChaining(with_skill.skill(domain.recovery), record)
         models[i, "initial"] = initial_model(domain, rig), None
     return _Context(domain, rig, perception, models)

@@ -83,6 +83,19 @@ def write_json(path: Path, data: Any) -> None:
     beside.replace(path)
 
 
+def check_writable(path: Path) -> None:
+    """Make sure before long work that its results can be written to the file `path`. Raises ConfigError."""
+    beside = path.with_name(path.name + ".part")
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(0, "it is a folder")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.touch()
+        beside.unlink()
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror}", "give another file") from None
+
+
 def git_hash() -> str:
     """The commit of the code that runs, '+' where it has changes; 'unknown' outside a checkout."""
     here = Path(__file__).parent

@@ -37,7 +37,7 @@ class TrainConfig:
     """Go on where the run in --out (default: the latest one of this domain) was cut off."""
 
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where the simulation and the networks run."""
+    """Where the recovery is learned; cuda: thousands of scenes in ManiSkill. The other stages run on the CPU."""
 
     concepts: Literal["default", "paper"] = "default"
     """How predicates and operators are learned: this project's choices or the published formulation."""
@@ -56,6 +56,8 @@ def train(config: TrainConfig) -> None:
     from sim_training.domains import find_domain
 
     domain = find_domain(config.domain)
+    if config.seed < 0:
+        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
     if config.resume:
         path = config.out or run_folder.latest_folder(config.domain)
         config = _resumed(path, config)
@@ -88,6 +90,8 @@ def _resumed(path: Path, config: TrainConfig) -> TrainConfig:
     saved = read_json(path / "config.json")
     if saved is None:
         raise ConfigError(f"{path} holds no run to resume", "start one without --resume")
+    if not isinstance(saved, dict) or not set(SHAPING) <= set(saved):
+        raise ConfigError(f"{path / 'config.json'} is not the config of a run", "start a new run without --resume")
     return replace(config, **{name: saved[name] for name in SHAPING}, out=path)
 
 
@@ -122,7 +126,7 @@ def _run(config: TrainConfig, domain: Domain, folder: RunFolder) -> None:
         with folder.timed("mine"), bars.stage("mine") as progress:
             mined = stages.mine(domain, folder, preset, seed, w, progress)
         with folder.timed("recovery"), bars.stage("recover") as progress:
-            record, after = stages.learn_recovery(domain, folder, preset, mined, seed, w, progress)
+            record, after = stages.learn_recovery(domain, folder, preset, mined, seed, w, progress, config.device)
         with folder.timed("check"), bars.stage("check") as progress:
             if "worlds" not in folder.metrics.get("check", {}):
                 first = seed * stages.TRAINING_SEEDS + 400_000
