@@ -1,0 +1,77 @@
+"""From a library to a model: everything it holds, and clear words where it does not fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from resync_robot.core.errors import LibraryError
+from resync_robot.core.rig import load_rig
+from resync_robot.knowledge import initial_model, learned_model, make_library, model_with_recovery
+from resync_robot.learning.failures import PairGaussian
+from resync_robot.learning.model import Concepts
+from resync_robot.planning.execute import Affordance
+from resync_robot.planning.search import plan
+from sim_training.domains import find_domain
+from tests import scenes
+from tests.libraries import DOMAIN, given_library, recovery_record
+
+RIG, CORNERED = load_rig(), find_domain(DOMAIN)
+
+
+def test_the_given_model_plans_obliviously() -> None:
+    model = initial_model(CORNERED, RIG)
+    assert set(model.skills) == {"Pick", "Insert"}
+    initial = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).initial
+    goal = CORNERED.parse_goal("On(b1,b0)", initial.objects)
+    found = plan(model.operators, initial.objects, model.abstraction.true_atoms(initial), goal)
+    assert str(found) == "Pick(r, b1), Insert(r, b1, b0)"
+
+
+def test_a_recovery_beside_it_changes_neither_symbols_nor_plans() -> None:
+    given, model = initial_model(CORNERED, RIG), model_with_recovery(CORNERED, RIG, recovery_record())
+    assert set(model.skills) == {"Pick", "Insert", CORNERED.recovery}
+    assert model.operators == given.operators
+    assert model.abstraction.predicates == given.abstraction.predicates
+    assert [t.name for t in model.skill(CORNERED.recovery).types] == ["robot", "block", "box"]
+    assert model.skill(CORNERED.recovery).live_state
+
+
+def test_a_library_comes_back_as_the_model_it_was_made_of() -> None:
+    concepts = Concepts(
+        CORNERED.predicates,
+        CORNERED.classifiers,
+        CORNERED.operators,
+        {},
+        {"affordance_of": {"Pick": {"predicate": "HandEmpty", "argument": 0}}},
+    )
+    gaussian = PairGaussian.fit([torch.rand(4).numpy() for _ in range(5)])
+    library = make_library(CORNERED, RIG, recovery_record(), {"before": gaussian}, concepts, {"seed": 1})
+    model = learned_model(CORNERED, RIG, library)
+    assert set(model.operators) == set(CORNERED.operators)
+    assert set(model.abstraction.predicates) == set(CORNERED.predicates)
+    assert model.affordances == {"Pick": Affordance("HandEmpty", 0)}
+    assert library.gaussians == {"before": gaussian.to_json()}
+    assert (library.rig_hash, library.provenance) == (RIG.hash, {"seed": 1})
+
+
+def test_a_library_of_another_domain_is_refused() -> None:
+    with pytest.raises(LibraryError, match="learned in 'kitchen'"):
+        learned_model(CORNERED, RIG, replace(given_library(), domain="kitchen"))
+
+
+def test_a_library_without_the_recovery_is_refused() -> None:
+    with pytest.raises(LibraryError, match="no skill 'Recover'"):
+        learned_model(CORNERED, RIG, replace(given_library(), skills={}))
+
+
+@pytest.mark.parametrize("part", ["policy", "terminal"])
+def test_a_recovery_record_that_lacks_a_part_is_refused(part: str) -> None:
+    record = recovery_record()
+    without_meta = replace(record, meta={k: v for k, v in record.meta.items() if k != part})
+    without_weights = replace(record, tensors={k: v for k, v in record.tensors.items() if not k.startswith(part)})
+    for broken in (without_meta, without_weights):
+        with pytest.raises(LibraryError):
+            model_with_recovery(CORNERED, RIG, broken)

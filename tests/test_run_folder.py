@@ -1,0 +1,105 @@
+"""A run's folder: whole writes, figures that add up, and clear words where it cannot be used."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from resync_robot import run_folder
+from resync_robot.core.errors import ConfigError
+from resync_robot.run_folder import RunFolder, check_writable, default_folder, latest_folder, read_json, write_json
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_figures_of_a_stage_are_added_to_those_it_has(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    assert folder.metrics == {}
+    folder.record("mine", {"failed": 3})
+    folder.record("mine", {"kept": 2})
+    folder.record("dream", {"solved": 1})
+    assert RunFolder(tmp_path / "run").metrics == {"mine": {"failed": 3, "kept": 2}, "dream": {"solved": 1}}
+
+
+def test_seconds_add_up_over_resumed_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([10.0, 12.5, 100.0, 101.0])
+    monkeypatch.setattr(run_folder.time, "monotonic", lambda: next(clock))
+    for _ in range(2):
+        with RunFolder(tmp_path).timed("mine"):
+            pass
+    assert RunFolder(tmp_path).metrics == {"mine": {"seconds": 3.5}}
+
+
+def test_json_is_replaced_whole(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    write_json(path, {"old": 1})
+    with pytest.raises(TypeError):
+        write_json(path, {"new": object()})
+    assert read_json(path) == {"old": 1}
+    write_json(path, {"new": 2})
+    assert read_json(path) == {"new": 2}
+    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_no_file_is_nothing_and_a_torn_one_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    assert read_json(path) is None
+    path.write_text('{"torn": ')
+    with pytest.raises(ConfigError, match=r"a\.json is no valid JSON"):
+        read_json(path)
+
+
+def test_a_folder_that_cannot_be_written_is_a_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match=r"cannot write to .*file/run") as caught:
+        RunFolder(tmp_path / "file" / "run")
+    assert "--out" in caught.value.fix
+
+
+def test_a_result_file_is_checked_before_the_work(tmp_path: Path) -> None:
+    check_writable(tmp_path / "deep" / "rows.json")
+    assert not (tmp_path / "deep" / "rows.json").exists()
+    assert list((tmp_path / "deep").iterdir()) == []
+    (tmp_path / "file").touch()
+    for bad in (tmp_path / "file" / "rows.json", tmp_path):
+        with pytest.raises(ConfigError, match="cannot write"):
+            check_writable(bad)
+
+
+def test_default_folders_are_dated_and_never_taken(here: Path) -> None:
+    first = default_folder("toy")
+    first.mkdir(parents=True)
+    second = default_folder("toy")
+    assert first.parent == Path("runs") and first.name.endswith("-toy")
+    assert second.name == first.name + "-2"
+
+
+def test_the_latest_run_of_a_name_is_found(here: Path) -> None:
+    with pytest.raises(ConfigError, match="no run of 'toy'"):
+        latest_folder("toy")
+    for age, name in ((20, "2026-01-02-toy"), (10, "2026-01-01-toy-2"), (0, "2026-01-03-other")):
+        path = here / "runs" / name / "config.json"
+        path.parent.mkdir(parents=True)
+        path.write_text("{}")
+        os.utime(path, (1000 - age, 1000 - age))
+    assert latest_folder("toy") == Path("runs/2026-01-01-toy-2")
+
+
+def test_the_commit_is_known_or_said_to_be_unknown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(run_folder, "__file__", str(tmp_path / "module.py"))
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path))
+    assert run_folder.git_hash() == "unknown"
+    monkeypatch.setenv("PATH", "")
+    assert run_folder.git_hash() == "unknown"
+
+
+def test_metrics_are_plain_json(tmp_path: Path) -> None:
+    RunFolder(tmp_path).record("mine", {"rate": 0.5})
+    assert json.loads((tmp_path / "metrics.json").read_text()) == {"mine": {"rate": 0.5}}
