@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from resync_robot import progress
 from resync_robot.progress import Stages, say
 
 
-def test_a_stage_tells_a_line_for_each_tenth(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
-    monkeypatch.setattr(progress, "_console", progress.Console(stderr=True, highlight=False, width=200))
+def test_a_stage_tells_a_line_for_each_tenth(capsys: pytest.CaptureFixture) -> None:
     with Stages(("mine", "dream")) as bars, bars.stage("mine") as tell:
         for i in range(101):
             tell(i / 100, f"{i} failures")
@@ -21,8 +19,7 @@ def test_a_stage_tells_a_line_for_each_tenth(monkeypatch: pytest.MonkeyPatch, ca
     assert shown.out == ""
 
 
-def test_more_than_all_is_all(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
-    monkeypatch.setattr(progress, "_console", progress.Console(stderr=True, highlight=False, width=200))
+def test_more_than_all_is_all(capsys: pytest.CaptureFixture) -> None:
     with Stages(("mine",)) as bars, bars.stage("mine") as tell:
         tell(1.7, "done")
     assert capsys.readouterr().err == "mine: 100 %  done\n"

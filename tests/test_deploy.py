@@ -1,0 +1,146 @@
+"""Deployment in simulation: recorded whatever happens, and bad input said before anything moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from resync_robot import cli, deploy
+from resync_robot.core.episode import EventKind, read_episode
+from resync_robot.core.errors import ConfigError, RenderError
+from resync_robot.core.library import save_library
+from resync_robot.core.rig import load_rig
+from resync_robot.deploy import DeployConfig
+from sim_training.domains import find_domain, world_task
+from sim_training.world import SimWorld
+from tests import scenes
+from tests.libraries import DOMAIN, given_library
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Path:
+    save_library(given_library(), tmp_path / "library")
+    return tmp_path / "library"
+
+
+@pytest.fixture(scope="module")
+def renderer() -> None:
+    try:
+        SimWorld(scenes.scene({"b0": (0.0, 0.0)}), load_rig(), rendered=True)
+    except RenderError as error:
+        pytest.skip(f"no Vulkan device: {error.what}")
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        (("--domain", "kitchen"), "unknown domain 'kitchen'"),
+        (("--scenario", "s9"), "'s9'"),
+        (("--goal", "On(b1,b7)"), "unknown object 'b7'"),
+        (("--goal", "Under(b1,b0)"), "unknown predicate 'Under'"),
+        (("--goal", "On(b1)"), "ill-typed"),
+        (("--goal", "on the block"), "cannot read the goal"),
+        (("--goal", ""), "names no atom"),
+        (("--goal", "Holding(r,b0), Holding(r,b1)"), "no plan reaches"),
+        (("--goal", "Holding(r,b0), HandEmpty(r)"), "no plan reaches"),
+        (("--library", "/nowhere"), "no library folder /nowhere"),
+        (("--rig", "/nowhere.toml"), "/nowhere.toml"),
+        (("--episodes", "0"), "--episodes is 0"),
+        (("--seed", "-1"), "--seed is -1"),
+        (("--backend", "ur7e"), "ur7e"),
+        (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),
+    ],
+)
+def test_bad_input_is_one_error_with_code_2(
+    args: tuple[str, ...],
+    word: str,
+    library: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = () if "--library" in args else ("--library", str(library))
+    assert cli.main(["deploy", *given, *args]) == 2
+    shown = capsys.readouterr()
+    assert shown.err.startswith("error: ") and word in shown.err
+    assert "Traceback" not in shown.err
+    assert shown.out == ""
+    assert [p.name for p in tmp_path.iterdir()] == ["library"], "nothing may be left behind"
+
+
+def test_the_world_and_goal_are_those_of_the_scenario_unless_a_goal_is_given() -> None:
+    domain = find_domain(DOMAIN)
+    plain = deploy._task(DeployConfig(scenario="s1", seed=3), domain, 3)
+    assert plain.initial == world_task(domain, "s1", 3, 0).initial
+    asked = deploy._task(DeployConfig(scenario="s1", seed=3, goal="Holding(r,b1)"), domain, 3)
+    assert asked.initial == plain.initial and asked.physics == plain.physics
+    assert ", ".join(map(str, asked.goal)) == "Holding(r, b1)"
+
+
+def test_a_step_is_confirmed_by_a_word_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    for word, allowed in (("y", True), ("Yes ", True), ("", False), ("n", False), ("why", False)):
+        monkeypatch.setattr("builtins.input", lambda prompt, word=word: word)
+        assert deploy._may_run(DeployConfig(confirm=True), "Pick(r, b0)") is allowed
+    assert deploy._may_run(DeployConfig(), "Pick(r, b0)")
+    assert not deploy._may_run(DeployConfig(dry_run=True), "Pick(r, b0)")
+
+
+def test_without_a_terminal_to_ask_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def closed(prompt: str) -> str:
+        raise EOFError
+
+    monkeypatch.setattr("builtins.input", closed)
+    with pytest.raises(ConfigError, match="no terminal"):
+        deploy._may_run(DeployConfig(confirm=True), "Pick(r, b0)")
+
+
+def episodes(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.mcap"))
+
+
+def test_a_dry_run_looks_plans_records_and_moves_no_skill(
+    renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    args = ["--library", str(library), "--perception", "oracle", "--dry-run", "--out", str(out)]
+    assert cli.main(["deploy", *args]) == 0
+    assert "Pick(r, b1), Insert(r, b1, b0)" in capsys.readouterr().out
+    (path,) = episodes(out)
+    episode = read_episode(path)
+    assert episode.damage is None
+    assert [e.kind for e in episode.events()] == [EventKind.STOP]
+    assert episode.meta.scenario == "s1" and episode.meta.goal == "On(b1, b0)"
+    assert episode.meta.library_hash == given_library().content_hash
+    assert next(episode.plans()).steps == ("Pick(r, b1)", "Insert(r, b1, b0)")
+
+
+@pytest.mark.slow
+def test_an_episode_that_fails_is_recorded_and_has_code_3(
+    renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    # The given model alone: the insertion upon the cornered block fails by physics.
+    assert cli.main(["deploy", "--library", str(library), "--perception", "oracle", "--out", str(out)]) == 3
+    shown = capsys.readouterr().out
+    assert "failed (" in shown and "0 of 1 episodes" in shown
+    episode = read_episode(episodes(out)[0])
+    kinds = [e.kind for e in episode.events()]
+    assert EventKind.SKILL_START in kinds and EventKind.GIVE_UP in kinds and EventKind.GOAL not in kinds
+    joints = list(episode.joints())
+    assert joints[-1].time > 5.0
+    assert episode.cameras and list(episode.truths())
+
+
+@pytest.mark.slow
+def test_the_shipped_library_reaches_the_goal_where_the_given_model_failed(
+    renderer: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from resync_robot.knowledge import shipped_library
+
+    if not shipped_library(DOMAIN).exists():
+        pytest.skip("no shipped library")
+    out = tmp_path / "run"
+    assert cli.main(["deploy", "--perception", "oracle", "--out", str(out)]) == 0
+    assert EventKind.GOAL in [e.kind for e in read_episode(episodes(out)[0]).events()]

@@ -1,0 +1,152 @@
+"""Training: what it refuses at once, and (slow) that a kill loses nothing and a seed decides everything."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from resync_robot import cli, train
+from resync_robot.core.errors import ConfigError
+from resync_robot.core.library import load_library
+from resync_robot.core.rig import load_rig
+from resync_robot.knowledge import learned_model
+from resync_robot.run_folder import write_json
+from resync_robot.train import SHAPING, TrainConfig
+from sim_training.domains import find_domain
+from tests.libraries import DOMAIN
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        (("--domain", "kitchen"), "unknown domain 'kitchen'"),
+        (("--seed", "-1"), "--seed is -1"),
+        (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),
+        (("--resume",), "no run of 'cornered-insertion-s'"),
+        (("--resume", "--out", "nowhere"), "nowhere holds no run to resume"),
+        (("--resume", "--out", "strange"), "is not the config of a run"),
+        (("--resume", "--out", "torn"), "no valid JSON"),
+        (("--out", "taken"), "taken already holds a run"),
+    ],
+)
+def test_bad_input_is_one_error_with_code_2_and_changes_nothing(
+    args: tuple[str, ...],
+    word: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(train, "_run", lambda *_: pytest.fail("training began"))
+    for name, text in (("taken", "{}"), ("strange", "[1]"), ("torn", '{"seed": ')):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "config.json").write_text(text)
+    before = sorted(tmp_path.rglob("*"))
+    assert cli.main(["train-sim", *args]) == 2
+    shown = capsys.readouterr()
+    assert shown.err.startswith("error: ") and word in shown.err
+    assert "Traceback" not in shown.err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_cuda_without_a_device_is_an_error_that_says_what_to_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    import torch
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ConfigError, match="no CUDA device") as caught:
+        train.train(TrainConfig(device="cuda"))
+    assert "--device cpu" in caught.value.fix
+
+
+def test_a_run_keeps_its_settings_when_it_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[TrainConfig] = []
+    monkeypatch.setattr(train, "_run", lambda config, domain, folder: ran.append(config))
+    begun = TrainConfig(preset="smoke", seed=7, concepts="paper", out=tmp_path / "run")
+    train.train(begun)
+    train.train(TrainConfig(preset="full", seed=1, workers=1, out=tmp_path / "run", resume=True))
+    first, second = ran
+    assert {name: getattr(second, name) for name in SHAPING} == {name: getattr(first, name) for name in SHAPING}
+    assert second.workers == 1
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["seed"] == 7
+
+
+def test_resume_without_a_folder_takes_the_latest_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    ran: list[TrainConfig] = []
+    monkeypatch.setattr(train, "_run", lambda config, domain, folder: ran.append(config))
+    train.train(TrainConfig(preset="smoke", seed=3))
+    train.train(TrainConfig(resume=True))
+    assert [c.seed for c in ran] == [3, 3]
+    assert ran[1].out is not None and ran[1].out.name.endswith(DOMAIN)
+
+
+def test_the_saved_config_names_all_that_decides_the_outcome(tmp_path: Path) -> None:
+    saved = train._settings(TrainConfig(seed=4))
+    assert set(saved) == {*SHAPING, "git"}
+    write_json(tmp_path / "config.json", saved)
+
+
+# -- whole runs -------------------------------------------------------------------------------------------------------
+
+SMOKE = (sys.executable, "-m", "resync_robot", "train-sim", "--preset", "smoke", "--seed", "0")
+
+
+def run_smoke(out: Path, *more: str, kill_when: str | None = None, after: float = 0.0) -> int:
+    """Run the smoke preset; with `kill_when`, kill -9 it `after` seconds from when that file of the run appears."""
+    run = subprocess.Popen([*SMOKE, "--out", str(out), *more], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        if kill_when:
+            while run.poll() is None and not list(out.glob(kill_when)):
+                time.sleep(0.05)
+            assert run.poll() is None, f"the run ended before {kill_when}"
+            time.sleep(after)
+            run.kill()
+        return run.wait(timeout=1800)
+    finally:
+        run.kill()
+
+
+def whole(out: Path) -> str:
+    """The content hash of a library that loads and becomes a model."""
+    library = load_library(out / "library")
+    domain = find_domain(DOMAIN)
+    model = learned_model(domain, load_rig(), library)
+    assert domain.recovery in {o.name for o in model.operators}
+    assert (out / "recovery.png").stat().st_size > 1000
+    assert {"mine", "recovery", "check", "dream", "concepts", "save"} <= set(
+        json.loads((out / "metrics.json").read_text())
+    )
+    return library.content_hash
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_library(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert run_smoke(tmp_path / name) == 0
+    assert whole(tmp_path / "a") == whole(tmp_path / "b")
+
+
+@pytest.mark.slow
+def test_a_run_killed_in_every_phase_is_resumed_to_a_whole_library(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    moments = [
+        ("config.json", 4.0),  # mining
+        ("stages/failures.json", 6.0),  # recovery, before its first checkpoint
+        ("stages/ppo.safetensors", 2.0),  # recovery, after it
+        ("stages/recovery.json", 1.0),  # the check
+        ("stages/dreams-000.jsonl", 0.5),  # dreaming
+        ("stages/dreams-001.jsonl", 3.0),  # concepts
+    ]
+    for i, (file, after) in enumerate(moments):
+        code = run_smoke(out, *(["--resume"] if i else []), kill_when=file, after=after)
+        assert code == -9
+        assert not os.path.exists(out / "library")  # noqa: PTH110 - a torn one would count too
+    assert run_smoke(out, "--resume") == 0
+    whole(out)
+    assert not list(out.rglob("*.part"))
