@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from resync_robot.core.errors import ConfigError
+from resync_robot.core.errors import ConfigError, PlanningError
 
 if TYPE_CHECKING:
     from resync_robot.core.library import Library
@@ -68,6 +68,7 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.core.library import load_library
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import learned_model, shipped_library
+    from resync_robot.planning.execute import End
     from resync_robot.planning.search import plan
     from resync_robot.progress import say
     from resync_robot.run_folder import RunFolder, default_folder
@@ -89,6 +90,8 @@ def deploy(config: DeployConfig) -> int:
             # A goal out of reach is a mistake of whoever typed it: said at once, before anything moves.
             plan(model.operators, task.objects, model.abstraction.true_atoms(task.initial), task.goal)
     folder = RunFolder(config.out or default_folder("deploy"))
+    if library.rig_hash != rig.hash:
+        say(f"Note: the library was learned on another rig ({library.rig_hash}, this one is {rig.hash}).")
     say(
         "Poses from the wrist camera (RGB-D with simulated noise)."
         if config.perception == "camera"
@@ -102,6 +105,8 @@ def deploy(config: DeployConfig) -> int:
     for i, task in enumerate(tasks):
         path = folder.path / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
         result, reached = _episode(config, rig, library, model, task, path)
+        if result.end is End.NO_PLAN and not result.transitions:
+            raise PlanningError(result.reason, 'give another --goal, such as --goal "On(b1,b0)"')
         succeeded += reached
         verdict = "goal reached" if reached else f"failed ({result.end.value}: {result.reason})"
         say(f"Episode {i + 1}/{len(tasks)}: {verdict}; {len(result.transitions)} skills. Recording: {path}")

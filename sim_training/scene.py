@@ -245,7 +245,9 @@ def _pose(features: np.ndarray) -> sapien.Pose:
 
 def _add_camera(scene: sapien.Scene, camera: CameraRig, robot: physx.PhysxArticulation) -> render.RenderCameraComponent:
     component = render.RenderCameraComponent(camera.width, camera.height)
-    component.set_perspective_parameters(0.05, 5.0, camera.fx, camera.fy, camera.cx, camera.cy, 0.0)
+    # The renderer counts pixels from their upper left edge, cameras and OpenCV from their middle.
+    cx, cy = camera.cx + 0.5, camera.cy + 0.5
+    component.set_perspective_parameters(0.05, 5.0, camera.fx, camera.fy, cx, cy, 0.0)
     # SAPIEN cameras look along x with z up; OpenCV's along z with y down.
     axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
     local = sapien.Pose(camera.pose @ axes)

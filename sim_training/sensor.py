@@ -17,8 +17,6 @@ from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig
 from resync_robot.core.world import CameraFrame
 
-_HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSettings:
@@ -73,8 +71,6 @@ class NoisySensor:
             frame,
             colour=self._colour(frame.colour),
             depth=self._depth(frame.depth),
-            # The renderer counts pixels from their upper left edge, cameras and OpenCV from their middle.
-            intrinsics=frame.intrinsics - _HALF_PIXEL,
             world_T_cam=frame.world_T_cam @ error,
         )
 

@@ -30,9 +30,8 @@ def main() -> None:
     mined = mine(domain, RunFolder(args.run), PRESETS["quick"], 0, 1, quiet)
     found = check_recovery(domain, mined, library.skills[domain.recovery], FRESH, args.worlds, args.workers, quiet)
     low, high = wilson(found["picked"], found["worlds"])
-    print(
-        f"{found['picked']} of {found['worlds']} recovered and then picked [{low:.3f}, {high:.3f}]; beta: {found['beta']}"
-    )
+    rate = f"{found['picked']} of {found['worlds']} recovered and then picked"
+    print(f"{rate} [{low:.3f}, {high:.3f}]; beta fired in {found['beta']}")
 
 
 if __name__ == "__main__":
