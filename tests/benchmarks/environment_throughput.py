@@ -2,11 +2,11 @@
 
     OMP_NUM_THREADS=1 python tests/benchmarks/environment_throughput.py --json throughput.json
 
-A control step is 0.1 s: drive targets in, ten physics steps, joints and block poses out. Every measurement takes the
-same worlds, with the tip pressing on the block and dragging it to and fro, so that nothing sleeps. ManiSkill is
-measured twice: as its users step it (`env.step`, with observation, reward and success), and its scene alone, driven
-like ours. Repetitions are interleaved, so that a busy minute of the machine meets all alike; medians are reported.
-Leave the machine alone while it runs.
+A control step is 0.1 s, ten physics steps. Every configuration has the same worlds, with the tip pressing on the block
+and dragging it to and fro, so that nothing sleeps. Two things are measured: the environment, as PPO steps it (tip
+motions in; observation, reward and success out; ManiSkill: `env.step`), and the scenes alone (joint targets in; joints
+and block poses out). Repetitions are interleaved, so that a busy minute of the machine meets all alike; medians are
+reported. Leave the machine alone while it runs.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from resync_robot.learning import recovery_policy as view
 from sim_training.domains import find_domain
 from sim_training.maniskill_env import CorneredInsertionEnv, ManiSkillScenes
 from sim_training.ppo import Scenes
-from sim_training.recovery import FailedWorlds
+from sim_training.recovery import FailedWorlds, RecoverySettings, reward
 from sim_training.vector_env import RecoveryScenes
 
 B0 = BLOCK("b0")
 SWING = 8
 """Control steps of pressing and dragging one way, then back."""
-GYM, SCENE = "ManiSkill CPU, env.step", "ManiSkill CPU, scene alone"
+MANISKILL = "ManiSkill, 1 scene, CPU"
 
 Cycle = Callable[[], float]
 """Runs one cycle of motion from the start poses and gives its control steps per second."""
@@ -48,92 +48,103 @@ def make_tasks(count: int) -> list[Task]:
     return [scenario.sample(np.random.default_rng(seed), seed) for seed in range(count)]
 
 
-def plan(scenes: Scenes, xp: Any) -> tuple[list[tuple[int, int, Any, Any]], list[Any]]:
-    """Resets with the tip over the stud, and (count, 6) joint targets that press and drag, computed beforehand."""
-    worlds = FailedWorlds(scenes.tasks, scenes.block, load_rig(), xp, torch.device("cpu"))
-    task = torch.arange(scenes.count) % len(scenes.tasks)
-    block = worlds.failures[task][:, view.BLOCK]
-    tip = block[:, :3].clone()
-    tip[:, 2] += block[:, 9] / 2 + view.STUD + 0.002
-    poses, q = worlds.array(block[:, :7]), worlds.joints_at(tip, task)
-    resets = list(zip(range(scenes.count), task.tolist(), poses, q, strict=True))
-    to_centre = worlds.failures[task][:, view.BOX][:, :2] - tip[:, :2]
-    to_centre /= to_centre.norm(dim=-1, keepdim=True)
-    targets = []
-    for step in range(2 * SWING):
-        tip = tip.clone()
-        tip[:, :2] += (0.008 if step < SWING else -0.008) * to_centre
-        tip[:, 2] = block[:, 2] + block[:, 9] / 2 + view.STUD - 0.02
-        targets.append(worlds.joints_at(tip, task))
-    return resets, targets
+class Motion:
+    """Press on the stud, drag away from the corner and back: as actions, and as joint targets computed beforehand."""
 
+    def __init__(self, scenes: Scenes, xp: Any) -> None:
+        self.scenes, self.settings = scenes, RecoverySettings()
+        self.worlds = FailedWorlds(scenes.tasks, scenes.block, load_rig(), xp, torch.device("cpu"))
+        self.task = torch.arange(scenes.count) % len(scenes.tasks)
+        block, box = (self.worlds.failures[self.task][:, columns] for columns in (view.BLOCK, view.BOX))
+        self.tip = block[:, :3].clone()
+        self.tip[:, 2] += block[:, 9] / 2 + view.STUD + 0.002
+        self.start = (self.worlds.array(block[:, :7]), self.worlds.joints_at(self.tip, self.task))
+        self.resets = list(zip(range(scenes.count), self.task.tolist(), *self.start, strict=True))
+        signs = [-1.0] * SWING + [1.0] * SWING
+        self.actions = [torch.tensor([[0.28 * s, 0.28 * s, -1.0]]).repeat(scenes.count, 1) for s in signs]
+        towards = box[:, :2] - self.tip[:, :2]
+        towards = towards / towards.norm(dim=-1, keepdim=True)
+        self.targets, tip = [], self.tip.clone()
+        tip[:, 2] -= 0.02
+        for sign in signs:
+            tip[:, :2] -= 0.008 * sign * towards
+            self.targets.append(self.worlds.joints_at(tip, self.task))
 
-def scenes_cycle(scenes: Scenes, xp: Any) -> Cycle:
-    resets, targets = plan(scenes, xp)
-
-    def run() -> float:
-        scenes.reset(resets)
+    def alone(self) -> float:
+        self.scenes.reset(self.resets)
         begun = time.perf_counter()
-        for q in targets:
-            scenes.step(q)
-        return scenes.count * len(targets) / (time.perf_counter() - begun)
+        for q in self.targets:
+            self.scenes.step(q)
+        return self._rate(begun)
 
-    return run
-
-
-def gym_cycle(env: CorneredInsertionEnv) -> Cycle:
-    """The same motion as actions: down on the stud, away from the corner and back."""
-    worlds = FailedWorlds(env.tasks, env.block, load_rig(), torch, torch.device("cpu"))
-    block = worlds.failures[:1, view.BLOCK]
-    tip = block[:, :3].clone()
-    tip[:, 2] += block[:, 9] / 2 + view.STUD + 0.002
-    start = (block[:, :7].double(), worlds.joints_at(tip, torch.zeros(1, dtype=torch.long)))
-    actions = [torch.tensor([[-sign * 0.28, -sign * 0.28, -1.0]]) for sign in [1] * SWING + [-1] * SWING]
-
-    def run() -> float:
-        env.reset(options={"start": start})
+    def environment(self) -> float:
+        """What `RecoveryEnv.step` does, from a start that is no draw."""
+        scenes, commanded = self.scenes, self.tip
+        scenes.reset(self.resets)
+        x = self.worlds.states(scenes.joints, scenes.blocks, commanded, self.task)
         begun = time.perf_counter()
-        for action in actions:
+        for action in self.actions:
+            previous, commanded = x, view.commanded_tip(x, action)
+            scenes.step(self.worlds.joints_at(commanded, self.task))
+            x = self.worlds.states(scenes.joints, scenes.blocks, commanded, self.task)
+            reward(x, previous, 0.98, self.settings)
+            view.observe(x)
+        return self._rate(begun)
+
+    def _rate(self, begun: float) -> float:
+        return self.scenes.count * len(self.actions) / (time.perf_counter() - begun)
+
+
+def gym_step(env: CorneredInsertionEnv, motion: Motion) -> Cycle:
+    def run() -> float:
+        env.reset(options={"start": motion.start})
+        begun = time.perf_counter()
+        for action in motion.actions:
             env.step(action)
-        return len(actions) / (time.perf_counter() - begun)
+        return len(motion.actions) / (time.perf_counter() - begun)
 
     return run
 
 
-def measure(counts: list[int], workers: list[int], repetitions: int, cycles: int) -> dict[str, list[float]]:
-    """Configuration -> control steps per second of each repetition, the mean over a repetition's cycles."""
+def measure(counts: list[int], workers: list[int], repetitions: int, cycles: int) -> dict[str, dict[str, list[float]]]:
+    """Configuration -> "environment" or "alone" -> control steps per second of each repetition."""
     tasks, rig = make_tasks(max(counts)), load_rig()
-    rates: dict[str, list[float]] = {}
+    rates: dict[str, dict[str, list[float]]] = {}
     with ExitStack() as stack:
-        runs: dict[str, tuple[Cycle, int]] = {}
+        runs: dict[tuple[str, str], tuple[Cycle, int]] = {}
         for processes in workers:
             for count in counts:
                 if processes <= count:
-                    # Created before ManiSkill: worker processes must not inherit its objects.
                     scenes = stack.enter_context(RecoveryScenes(tasks[:count], B0, rig, count, processes))
-                    runs[f"ours, {count} scenes, {processes} workers"] = (scenes_cycle(scenes, np), count)
-        alone = stack.enter_context(ManiSkillScenes(tasks[:1], B0, rig, 1, "cpu"))
-        runs[SCENE] = (scenes_cycle(alone, torch), 1)
+                    motion = Motion(scenes, np)
+                    name = f"{count} scenes, " + (f"{processes} workers" if processes else "in process")
+                    runs[name, "environment"], runs[name, "alone"] = (motion.environment, count), (motion.alone, count)
+        theirs = Motion(stack.enter_context(ManiSkillScenes(tasks[:1], B0, rig, 1, "cpu")), torch)
         env = CorneredInsertionEnv(num_envs=1, sim_backend="physx_cpu", tasks=tasks[:1], block=B0)
         stack.callback(env.close)
-        runs[GYM] = (gym_cycle(env), 1)
+        runs[MANISKILL, "environment"], runs[MANISKILL, "alone"] = (gym_step(env, theirs), 1), (theirs.alone, 1)
         for repetition in range(repetitions + 1):
-            for name, (run, count) in runs.items():
+            for (name, what), (run, count) in runs.items():
                 # A similar time for each; a mean of rates would favour lucky cycles.
                 rounds = max(1, round(cycles / count))
                 rate = rounds / sum(1 / run() for _ in range(rounds))
-                if repetition > 0:  # the first round warms up
-                    rates.setdefault(name, []).append(rate)
+                if repetition > 0:  # the first one warms up
+                    rates.setdefault(name, {}).setdefault(what, []).append(rate)
     return rates
 
 
-def table(rates: dict[str, list[float]]) -> str:
-    """Markdown: median, range, and the ratio of medians to ManiSkill's `env.step`."""
-    lines = ["| environment | control steps/s | least - most | x ManiSkill |", "|---|---|---|---|"]
-    base = float(np.median(rates[GYM]))
-    for name, values in rates.items():
-        median = float(np.median(values))
-        lines.append(f"| {name} | {median:.0f} | {min(values):.0f} - {max(values):.0f} | {median / base:.1f} |")
+def table(rates: dict[str, dict[str, list[float]]]) -> str:
+    """Markdown: medians with their range, and their ratio to ManiSkill's."""
+    lines = ["| | environment, steps/s | x ManiSkill | scenes alone, steps/s | x ManiSkill |", "|---|---|---|---|---|"]
+    for name, found in rates.items():
+        cells = [name]
+        for what in ("environment", "alone"):
+            v = found[what]
+            cells += [
+                f"{np.median(v):.0f} ({min(v):.0f} - {max(v):.0f})",
+                f"{np.median(v) / np.median(rates[MANISKILL][what]):.1f}",
+            ]
+        lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -154,11 +165,10 @@ def main() -> None:
     load = (load_before, os.getloadavg()[0])
     print(f"{os.cpu_count()} cores, {platform.machine()}; load average before {load[0]:.1f}, after {load[1]:.1f}")
     if given.json:
-        base = float(np.median(rates[GYM]))
-        medians = {name: float(np.median(values)) for name, values in rates.items()}
+        medians = {n: {what: float(np.median(v)) for what, v in found.items()} for n, found in rates.items()}
         result = {
             "control_steps_per_second": medians,
-            "ratio_to_maniskill": {name: median / base for name, median in medians.items()},
+            "ratio_to_maniskill": {n: {w: m / medians[MANISKILL][w] for w, m in f.items()} for n, f in medians.items()},
             "repetitions": rates,
             "cores": os.cpu_count(),
             "load_average": load,
