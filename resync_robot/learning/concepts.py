@@ -113,6 +113,9 @@ def learn_concepts(
         tried = [op.name for op in given.operators]
         proposals += affordances(recovery, tried, dataset.signatures)
     kept, log = _train(dataset, proposals, explained, config, seed, progress)
+    # A candidate that attempts label supersedes the one with the same effects whose boundary is left to luck.
+    better = {(c.types, c.effects) for c, _ in kept if c.attempts is not None}
+    kept = [(c, f) for c, f in kept if c.attempts is not None or (c.types, c.effects) not in better]
     # The preferred ones first: of concepts that always agree only the first is pooled.
     for candidate, fitted in sorted(
         kept, key=lambda pair: (pair[0].attempts is None, len(pair[0].effects), pair[1].loss)

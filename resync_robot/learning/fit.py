@@ -50,7 +50,7 @@ class FitConfig:
     pairs_per_epoch: int = 1024
     labels_per_epoch: int = 4096
     propagated_weight: float = 0.3
-    caution: float = 3.0
+    caution: float = 2.0
     position_m: float = 0.002
     angle: float = float(np.deg2rad(0.5))
 
@@ -200,12 +200,14 @@ def _index(
         pair_run.append(same.run)
     weight = np.array(weights, dtype=np.float32)
     value = np.array(values, dtype=np.float32)
-    # Both values weigh the same in total, however often each was seen; failed attempts more.
-    for v in (0.0, 1.0):
-        if (total := weight[value == v].sum()) > 0:
-            weight[value == v] *= len(weight) / 2 / total
     if attempts:
+        # As often as they happened: at the boundary that is what decides. To weigh both values alike in total would
+        # move it well into what works, since failures are few.
         weight[value == 0.0] *= config.caution
+    else:
+        for v in (0.0, 1.0):
+            if (total := weight[value == v].sum()) > 0:
+                weight[value == v] *= len(weight) / 2 / total
     return list(keys), _Examples(
         np.array(groups, dtype=np.int64).reshape(-1, most),
         value,
