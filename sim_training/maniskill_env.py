@@ -57,6 +57,7 @@ class CorneredInsertionEnv(BaseEnv):
         block: the cornered block.
         settings: reward, success, and what ends an episode.
         gamma: discount of the potential-based shaping.
+        render_backend: "none" builds no visuals; otherwise as ManiSkill has it.
 
     Raises:
         TrainingError: the tasks do not hold the same objects.

@@ -141,6 +141,18 @@ def test_the_mdp_runs_in_torch_as_in_numpy() -> None:
     assert torch.allclose(*states, atol=2e-3)
 
 
+def test_starts_of_many_worlds_are_the_same_in_torch_and_numpy() -> None:
+    tasks, task = make_tasks(5), torch.arange(64) % 5
+    drawn = []
+    for xp in (np, torch):
+        worlds = FailedWorlds(tasks, B0, RIG, xp, CPU)
+        poses, q, tip = worlds.draw_starts(task, torch.Generator().manual_seed(0))
+        assert torch.allclose(worlds.tip_at(q), tip, atol=1e-6)
+        drawn.append((torch.as_tensor(poses), torch.as_tensor(q), worlds.states(q, poses, tip, task)))
+    for ours, theirs in zip(*drawn, strict=True):
+        assert ours.shape[0] == 64 and torch.allclose(ours, theirs, atol=1e-7)
+
+
 def test_training_runs_on_maniskill_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim_training.ppo.RecoveryScenes", lambda *a: ManiSkillScenes(*a[:4], "cpu"))
     settings = PpoSettings(scenes=1, steps=16, minibatch=8, total_steps=32, least_steps=0, rebuild=0.0)
