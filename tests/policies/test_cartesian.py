@@ -1,0 +1,169 @@
+"""Straight lines arrive, keep to their speed, and stop where a guard says so."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from policies.cartesian import Blocked, Hand, run_motion
+from resync_robot.core import spatial
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.skill import Ending, Outcome
+from tests import scenes
+from tests.policies.followers import RIG, Follower
+
+PERIOD = 0.02
+SCENE = scenes.scene({"b0": (0.0, 0.0)}).initial
+
+
+def follow(world: Follower, hand: Hand, motion: Generator[JointTarget, Any, Any]) -> list[JointTarget]:
+    """Carry a motion out; returns every target."""
+    targets = []
+    try:
+        target = next(motion)
+        while True:
+            targets.append(target)
+            world.act(target, PERIOD)
+            target = motion.send(world.observe())
+    except StopIteration:
+        return targets
+
+
+def hand_of(world: Follower, stray: float = 0.02) -> Hand:
+    return Hand(RIG, world.observe(), PERIOD, stray)
+
+
+place = st.tuples(st.floats(0.35, 0.55), st.floats(-0.2, 0.2), st.floats(0.05, 0.35))
+
+
+@settings(max_examples=15)
+@given(goal=place, yaw=st.floats(-1.5, 1.5), speed=st.floats(0.05, 0.3))
+def test_a_move_arrives_on_a_straight_line_within_its_speed(
+    goal: tuple[float, float, float], yaw: float, speed: float
+) -> None:
+    world = Follower(SCENE)
+    begin = RIG.tip_pose(world.arm)[:3, 3]
+    targets = follow(world, hand_of(world), hand_of(world).move(*goal, yaw, speed))
+    tip = RIG.tip_pose(world.arm)
+    np.testing.assert_allclose(tip[:3, 3], goal, atol=1e-6)
+    np.testing.assert_allclose(tip[:3, :3], Hand.rotation(yaw), atol=1e-6)
+    path = np.array([begin, *world.tips])
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    assert steps.max() <= speed * PERIOD * (1 + 1e-6)
+    line = (np.array(goal) - begin) / np.linalg.norm(np.array(goal) - begin)
+    off = (path - begin) - ((path - begin) @ line)[:, None] * line
+    assert np.abs(off).max() < 1e-6
+    assert all(t.opening == world.opening for t in targets)
+
+
+def test_the_tool_points_down_whatever_its_yaw() -> None:
+    for yaw in (-1.0, 0.0, 2.0):
+        np.testing.assert_allclose(Hand.rotation(yaw) @ [0, 0, 1], [0, 0, -1], atol=1e-12)
+        np.testing.assert_allclose(Hand.rotation(yaw) @ [1, 0, 0], [np.cos(yaw), np.sin(yaw), 0], atol=1e-12)
+
+
+def test_a_turn_goes_the_short_way_round() -> None:
+    world = Follower(SCENE)
+    hand = hand_of(world)
+    x, y, z = hand.position
+    follow(world, hand, hand.move(x, y, z, 3.0, 0.2))
+    follow(world, hand, hand.move(x, y, z, -3.0, 0.2))
+    assert hand.yaw == pytest.approx(2 * np.pi - 3.0)
+
+
+def test_a_tip_that_is_held_blocks_the_move() -> None:
+    world = Follower(SCENE, stuck=True)
+    hand = hand_of(world)
+    with pytest.raises(Blocked, match="held"):
+        follow(world, hand, hand.move(*(hand.position + [0, 0, 0.1]), hand.yaw, 0.1))
+
+
+def test_a_push_blocks_a_move_that_minds_it_and_no_other() -> None:
+    class Pushed(Follower):
+        def act(self, target: JointTarget, duration: float) -> None:
+            super().act(target, duration)
+            self.force = np.array([0.0, 0.0, 30.0]) * (self.time > 0.2)
+
+    for limit, blocked in ((25.0, True), (35.0, False), (np.inf, False)):
+        world = Pushed(SCENE)
+        hand = hand_of(world)
+        motion = hand.move(*(hand.position - [0, 0, 0.1]), hand.yaw, 0.1, max_force=limit)
+        if blocked:
+            with pytest.raises(Blocked, match="30 N"):
+                follow(world, hand, motion)
+        else:
+            follow(world, hand, motion)
+
+
+def test_what_pushed_from_the_start_is_not_a_contact() -> None:
+    world = Follower(SCENE, force=np.array([0.0, 0.0, -40.0]))
+    hand = hand_of(world)
+    follow(world, hand, hand.move(*(hand.position - [0, 0, 0.05]), hand.yaw, 0.1, max_force=5.0))
+
+
+def test_the_fingers_open_at_their_speed_and_within_their_range() -> None:
+    world = Follower(SCENE, opening=0.10)
+    hand = hand_of(world)
+    targets = follow(world, hand, hand.open(0.02))
+    widths = np.array([0.10] + [t.opening for t in targets])
+    assert np.abs(np.diff(widths)).max() <= 0.12 * PERIOD + 1e-9
+    assert world.opening == pytest.approx(0.02)
+    follow(world, hand, hand.open(9.0))
+    assert world.opening == RIG.gripper.max_opening
+
+
+def test_a_retreat_goes_straight_up_and_never_down() -> None:
+    world = Follower(SCENE)
+    hand = hand_of(world)
+    x, y, z = hand.position
+    assert follow(world, hand, hand.retreat(z - 0.1, 0.1)) == []
+    follow(world, hand, hand.retreat(z + 0.05, 0.1))
+    np.testing.assert_allclose(RIG.tip_pose(world.arm)[:3, 3], [x, y, z + 0.05], atol=1e-6)
+
+
+def test_backing_off_ignores_what_holds_the_tip() -> None:
+    world = Follower(SCENE, stuck=True)
+    hand = hand_of(world, stray=0.001)
+    follow(world, hand, hand.back_off(hand.position[2] + 0.05, 0.1))
+    assert hand.stray == 0.001
+
+
+def test_what_no_configuration_reaches_ends_as_unreachable() -> None:
+    world = Follower(SCENE)
+    hand = hand_of(world)
+
+    def motion() -> Generator[JointTarget, Any, Outcome]:
+        yield from hand.move(2.0, 0.0, 0.3, 0.0, 1.0)
+        return Outcome(Ending.DONE)
+
+    policy = run_motion(motion(), world.observe())
+    for _ in range(1000):
+        answer = policy.step(world.observe())
+        if isinstance(answer, Outcome):
+            break
+        world.act(answer, PERIOD)
+    assert answer.ending is Ending.UNREACHABLE and "flange" in answer.reason
+
+
+def test_a_motion_with_nothing_to_do_ends_at_once() -> None:
+    def motion() -> Generator[JointTarget, Any, Outcome]:
+        return Outcome(Ending.REFUSED, "no")
+        yield
+
+    world = Follower(SCENE)
+    assert run_motion(motion(), world.observe()).step(world.observe()) == Outcome(Ending.REFUSED, "no")
+
+
+def test_a_hand_knows_its_yaw_from_the_arm() -> None:
+    world = Follower(SCENE)
+    hand = hand_of(world)
+    follow(world, hand, hand.move(*hand.position, 0.7, 0.2))
+    assert hand_of(world).yaw == pytest.approx(0.7)
+    np.testing.assert_allclose(
+        spatial.rotation_vector(Hand.rotation(0.7).T @ RIG.tip_pose(world.arm)[:3, :3]), 0, atol=1e-6
+    )

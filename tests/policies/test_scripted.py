@@ -1,0 +1,131 @@
+"""Pick and Insert in the simulated world: what works in the open fails in a corner, and by physics alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from policies.scripted import ScriptedSettings, scripted_skills
+from resync_robot.core.rig import load_rig
+from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.symbols import Object
+from resync_robot.core.task import Task
+from resync_robot.core.world import Observation
+from resync_robot.learning.failures import CONTACT_THRESHOLD_N
+from resync_robot.planning.execute import run_skill
+from sim_training.domains.cornered_insertion_s import hand_empty, holding, on
+from sim_training.mine import ContactMonitor, is_at_rest
+from sim_training.parts import CHAMFER, CLEARANCE
+from sim_training.world import SimWorld
+from tests import scenes
+from tests.policies.followers import Follower
+from tests.scenes import B0, B1, CORNER, THE_BOX, R
+
+RIG = load_rig()
+SKILLS = {s.name: s for s in scripted_skills(RIG)}
+FREE, ASIDE = (-0.07, -0.06, 0.3), (0.075, 0.06, -0.2)
+
+
+def build(b0: Sequence[float], b1: Sequence[float] = ASIDE, kind: type[SimWorld] = SimWorld) -> SimWorld:
+    task: Task = scenes.scene({"b0": b0, "b1": b1})
+    world = kind(task, RIG)
+    assert is_at_rest(world)
+    return world
+
+
+def run(world: SimWorld, name: str, *objects: Object, monitor: ContactMonitor | None = None) -> Outcome:
+    return run_skill(world, SKILLS[name].ground((R, *objects)), monitor)
+
+
+def test_a_free_block_is_picked_and_inserted_and_holds() -> None:
+    world = build(FREE)
+    assert run(world, "Pick", B0).done
+    assert holding(world.perceive(), (R, B0)) and not hand_empty(world.perceive(), (R,))
+    assert run(world, "Insert", B0, B1).done
+    state = world.perceive()
+    assert on(state, (B0, B1)) and not on(state, (B1, B0)) and hand_empty(state, (R,))
+    # The stud holds what would slide off a flat block: a push of 1 N on the upper one, from each side.
+    for push in ([1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]):
+        body = world.built.rigid[B0]
+        for _ in range(30):
+            body.add_force_at_point(np.array(push), body.entity_pose.p)
+            world.step()
+    assert on(world.perceive(), (B0, B1))
+
+
+@pytest.mark.parametrize("corner", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
+def test_a_cornered_block_cannot_be_picked_and_the_box_is_what_was_hit(corner: tuple[int, int]) -> None:
+    world = build((corner[0] * CORNER, corner[1] * CORNER), (0.0, 0.0))
+    before = world.perceive()
+    monitor = ContactMonitor(world)
+    outcome = run(world, "Pick", B0, monitor=monitor)
+    assert outcome.ending is Ending.BLOCKED and "b0" in outcome.reason
+    state = world.perceive()
+    assert not holding(state, (R, B0))
+    assert np.linalg.norm(state[B0][:3] - before[B0][:3]) < 0.01
+    assert monitor.peaks[THE_BOX] > CONTACT_THRESHOLD_N
+    assert state.get(R, "z")[0] > scenes.FLOOR + scenes.RIM, "the hand is out of the way again"
+
+
+def test_a_block_beside_one_wall_can_be_picked() -> None:
+    world = build((CORNER, 0.03), (-0.08, -0.03))
+    assert run(world, "Pick", B0).done
+    assert holding(world.perceive(), (R, B0))
+
+
+def test_nothing_is_inserted_on_a_cornered_block() -> None:
+    world = build(FREE, (CORNER, CORNER))
+    assert run(world, "Pick", B0).done
+    outcome = run(world, "Insert", B0, B1)
+    assert not on(world.perceive(), (B0, B1))
+    assert outcome.ending is Ending.BLOCKED and "b1" in outcome.reason
+
+
+class Misled(SimWorld):
+    """A world whose observations show b1 in the wrong place by `error` m."""
+
+    error = 0.0
+
+    def observe(self, live: bool = False) -> Observation:
+        seen = super().observe(live)
+        wrong = seen.state.with_features(B1, x=seen.state.get(B1, "x")[0] + self.error)
+        return Observation(seen.time, seen.arm, seen.arm_velocity, seen.opening, seen.tip_force, wrong)
+
+
+LEAD_IN = CLEARANCE + 2 * CHAMFER[0]
+"""How far stud and socket may be apart and still find each other, m."""
+
+
+@pytest.mark.parametrize(("error", "seats"), [(LEAD_IN - 0.003, True), (LEAD_IN + 0.003, False)])
+def test_an_insertion_seats_within_the_lead_in_and_not_beyond(error: float, seats: bool) -> None:
+    world = build(FREE, kind=Misled)
+    assert run(world, "Pick", B0).done
+    world.error = error
+    run(world, "Insert", B0, B1)
+    assert bool(on(world.perceive(), (B0, B1))) is seats
+
+
+def test_inserting_what_is_not_in_the_hand_is_refused_without_moving() -> None:
+    world = Follower(scenes.scene({"b0": FREE, "b1": ASIDE}).initial)
+    outcome = run_skill(world, SKILLS["Insert"].ground((R, B0, B1)))
+    assert outcome == Outcome(Ending.REFUSED, "b0 is not in the hand")
+    assert world.tips == []
+
+
+def test_closing_on_nothing_is_reported() -> None:
+    """A hand that finds no block where it was seen says how far the pads closed."""
+    world = Follower(scenes.scene({"b0": FREE, "b1": ASIDE}).initial)
+    outcome = run_skill(world, SKILLS["Pick"].ground((R, B0)))
+    assert outcome.ending is Ending.BLOCKED and "not on b0" in outcome.reason
+
+
+def test_speeds_are_settings() -> None:
+    slow = {s.name: s for s in scripted_skills(RIG, ScriptedSettings(travel_speed=0.05))}
+    times = []
+    for skills in (SKILLS, slow):
+        world = Follower(scenes.scene({"b0": (-0.1, -0.1), "b1": ASIDE}).initial)
+        run_skill(world, skills["Pick"].ground((R, B0)))
+        times.append(world.time)
+    assert times[1] > times[0] + 1.0
