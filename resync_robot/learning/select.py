@@ -68,17 +68,20 @@ class SelectConfig:
         plans: 1 for the default J, more for the published one.
         penalty: cost of a demonstration without a plan.
         min_gain: J must fall by more than this.
+        indifference: concepts whose J is within this of the lowest explain equally well, and preference decides:
+            differences of a few per cent are those of a handful of attempts, and change from seed to seed.
         max_concepts: hill climbing stops there.
     """
 
     plans: int = 1
     penalty: float = 100.0
     min_gain: float = 1.0
+    indifference: float = 3.0
     max_concepts: int = 4
     max_nodes: int = 3_000
 
 
-PAPER_J = SelectConfig(plans=8, penalty=1e5, min_gain=0.0, max_nodes=1_000)
+PAPER_J = SelectConfig(plans=8, penalty=1e5, min_gain=0.0, indifference=0.0, max_nodes=1_000)
 
 
 @dataclass(frozen=True)
@@ -252,9 +255,9 @@ def select(
         lowest = min(s.j for s, _ in scored)
         if lowest >= best.j - config.min_gain:
             break
-        # Within the gain that would not count, what is preferred for other reasons wins.
+        # Among those that explain equally well, what is preferred for other reasons wins.
         score, concept = min(
-            ((s, k) for s, k in scored if s.j <= lowest + config.min_gain and s.j < best.j),
+            ((s, k) for s, k in scored if s.j <= lowest + config.indifference and s.j < best.j),
             key=lambda pair: (*pair[1].preference, pair[0].j),
         )
         chosen.append(concept)
