@@ -1,0 +1,28 @@
+(define (domain cornered-insertion-s)
+  (:requirements :strips :typing)
+  (:types block box robot)
+  (:predicates
+    (HandEmpty ?robot0 - robot)
+    (Holding ?robot0 - robot ?block1 - block)
+    (On ?block0 - block ?block1 - block)
+    (ReadyInsert ?block0 - block)
+    (ReadyInsert-box ?block0 - block ?box1 - box)
+    (ReadyPick ?block0 - block)
+    (ReadyPick-box ?block0 - block ?box1 - box)
+  )
+  (:action Insert
+    :parameters (?r - robot ?b0 - block ?b1 - block)
+    :precondition (and (Holding ?r ?b0) (ReadyInsert ?b1))
+    :effect (and (HandEmpty ?r) (On ?b0 ?b1) (not (Holding ?r ?b0)))
+  )
+  (:action Pick
+    :parameters (?r - robot ?b - block)
+    :precondition (and (HandEmpty ?r) (ReadyPick ?b))
+    :effect (and (Holding ?r ?b) (not (HandEmpty ?r)))
+  )
+  (:action Recover
+    :parameters (?robot - robot ?block - block ?box - box)
+    :precondition (and (HandEmpty ?robot))
+    :effect (and (ReadyInsert ?block) (ReadyInsert-box ?block ?box) (ReadyPick ?block) (ReadyPick-box ?block ?box))
+  )
+)
