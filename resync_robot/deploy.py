@@ -126,12 +126,14 @@ def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
 def _episode(
     config: DeployConfig, rig: Rig, library: Library, model: Model, task: Task, path: Path
 ) -> tuple[Result, bool]:
+    from hardware.base import RobotError
     from resync_robot import __version__
     from resync_robot.backends import open_simulated
     from resync_robot.core.episode import EpisodeMeta
     from resync_robot.core.episode_writer import EpisodeWriter
+    from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
-    from resync_robot.planning.execute import plan_f
+    from resync_robot.planning.execute import End, Result, plan_f
     from resync_robot.progress import say
     from resync_robot.recorder import Recorder
 
@@ -161,7 +163,12 @@ def _episode(
         world.stream.recorders.append(recorder.on_stream)
 
         say(f"Goal: {goal}")
-        result = plan_f(world, model, task.goal, listener=recorder)
+        try:
+            result = plan_f(world, model, task.goal, listener=recorder)
+        except (PerceptionError, MotionError, RobotError) as error:
+            # One episode's trouble is recorded with it and leaves the others their turn.
+            recorder.on_end(End.FAULT, error.what)
+            result = Result(End.FAULT, error.what, (), (), devices.truth())
         reached = result.success and task.goal <= model.abstraction.true_atoms(devices.truth())
     return result, reached
 

@@ -222,19 +222,19 @@ def _run(context: _Context, job: Job) -> Row:
         reached = result.success
     else:
         from resync_robot.backends import open_simulated
-        from resync_robot.core.errors import PerceptionError
+        from resync_robot.core.errors import MotionError, PerceptionError
         from resync_robot.deployed_world import DeployedWorld
 
         with open_simulated(task, context.rig) as devices:
             seen = DeployedWorld(devices.robot, devices.cameras["wrist"], context.rig, task.objects, devices.truth)
             try:
                 result = plan_f(seen, model, task.goal, reaction=reaction)
-            except PerceptionError as error:
+            except (PerceptionError, MotionError) as error:
                 spent = time.monotonic() - begun
                 return Row(
                     **vars(job),
                     success=False,
-                    end="perception",
+                    end="fault",
                     reason=error.what,
                     skills=0,
                     planning_s=0.0,

@@ -38,7 +38,7 @@ from resync_robot.learning import recovery_policy as view
 from sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
 from sim_training.maniskill_robot import Ur7e2f140
 from sim_training.recovery import FailedWorlds, RecoverySettings, reward
-from sim_training.scene import PERIOD, _add_block, _add_box, _add_table
+from sim_training.scene import PERIOD, add_block, add_box, add_table
 from sim_training.vector_env import SUBSTEPS
 
 ENVIRONMENT = "ResyncCorneredInsertionS-v1"
@@ -119,10 +119,10 @@ class CorneredInsertionEnv(BaseEnv):
         rendered = self.scene.can_render()
         bodies: dict[Object, list[sapien.Entity]] = {}
         for i, (scene, task) in enumerate(zip(self.scene.sub_scenes, self.tasks, strict=True)):
-            _add_table(scene, task.physics, rendered)
+            add_table(scene, task.physics, rendered)
             for obj in task.objects:
                 if obj.type in (BOX, BLOCK):
-                    entity = (_add_box if obj.type == BOX else _add_block)(scene, obj, task, rendered)
+                    entity = (add_box if obj.type == BOX else add_block)(scene, obj, task, rendered)
                     entity.name = f"scene-{i}_{obj.name}"
                     bodies.setdefault(obj, []).append(entity)
         self._initial = {

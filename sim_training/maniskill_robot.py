@@ -18,7 +18,7 @@ from torch import Tensor
 
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import load_rig
-from sim_training.scene import FINGER_JOINTS, BuiltScene, _add_robot, urdf_path
+from sim_training.scene import FINGER_JOINTS, BuiltScene, add_robot, urdf_path
 from sim_training.vector_env import RECOVERY_TORQUE
 
 _PARKED = 1.0
@@ -106,7 +106,7 @@ class Ur7e2f140(BaseAgent):
         arms = []
         for i, scene in enumerate(self.scene.sub_scenes):
             physics = {"friction_pad": 1.15} if self._physics is None else self._physics[i]
-            arm = _add_robot(scene, rig, physics, self.scene.can_render())
+            arm = add_robot(scene, rig, physics, self.scene.can_render())
             built = BuiltScene(scene, arm, {}, {}, float(physics.get("gain", 1.0)))
             built.set_torque_limits(RECOVERY_TORQUE)
             # ManiSkill finds the name that all parallel copies share by cutting off this prefix.

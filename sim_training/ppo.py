@@ -195,7 +195,11 @@ def train_recovery(
         env = RecoveryEnv(scenes, rig, recovery, settings.gamma, seed + done_steps, settings.rebuild)
         running_return = torch.zeros(settings.scenes, device=device)
         random = torch.Generator(device).manual_seed(seed + 1 + done_steps)
-        while done_steps < settings.total_steps:
+        # A run that had learned enough when it was cut off has still learned enough.
+        enough = (
+            done_steps >= settings.least_steps and bool(curve["success"]) and curve["success"][-1] >= settings.stop_at
+        )
+        while done_steps < settings.total_steps and not enough:
             fraction = min(1.0, done_steps / settings.anneal_steps)
             std = settings.std_begin + fraction * (settings.std_end - settings.std_begin)
             batch = _collect(env, net, std, settings, random, finished, returns, running_return, done_steps == 0)
@@ -212,9 +216,8 @@ def train_recovery(
             progress(done_steps, settings.total_steps, rate)
             if len(curve["steps"]) % 20 == 0:
                 _save(checkpoint, net, optimiser, curve)
-            enough = len(finished) == finished.maxlen and rate >= settings.stop_at
-            if enough and done_steps >= settings.least_steps:
-                break
+            full = len(finished) == finished.maxlen and done_steps >= settings.least_steps
+            enough = full and rate >= settings.stop_at
     _save(checkpoint, net, optimiser, curve)
     return net.cpu().eval(), {"curve": curve}
 

@@ -47,14 +47,14 @@ def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
     scene = sapien.Scene(systems)
     scene.set_timestep(PERIOD)
     physics = task.physics
-    robot = _add_robot(scene, rig, physics, rendered)
-    _add_table(scene, physics, rendered)
+    robot = add_robot(scene, rig, physics, rendered)
+    add_table(scene, physics, rendered)
     bodies = {}
     for obj in task.objects:
         if obj.type == BOX:
-            bodies[obj] = _add_box(scene, obj, task, rendered)
+            bodies[obj] = add_box(scene, obj, task, rendered)
         elif obj.type == BLOCK:
-            bodies[obj] = _add_block(scene, obj, task, rendered)
+            bodies[obj] = add_block(scene, obj, task, rendered)
     cameras = {c.name: _add_camera(scene, c, robot) for c in rig.cameras} if rendered else {}
     if rendered:
         _add_lights(scene, physics)
@@ -126,7 +126,7 @@ def urdf_path() -> str:
         return str(path)
 
 
-def _add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendered: bool) -> physx.PhysxArticulation:
+def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendered: bool) -> physx.PhysxArticulation:
     loader = scene.create_urdf_loader()
     loader.fix_root_link = True
     builders = loader.parse(urdf_path())[0]
@@ -189,7 +189,7 @@ def _attach_shapes(
         look.attach(drawn)
 
 
-def _add_table(scene: sapien.Scene, physics: Mapping[str, Any], rendered: bool) -> None:
+def add_table(scene: sapien.Scene, physics: Mapping[str, Any], rendered: bool) -> None:
     slab = parts.Cuboid(np.array([0.35, -0.05, -0.02]), np.array([0.75, 0.75, 0.02]))
     _add_static(scene, "table", sapien.Pose(), [slab], 0.4, physics.get("table_colour", (0.75, 0.68, 0.58)), rendered)
 
@@ -208,14 +208,14 @@ def _add_static(
     return entity
 
 
-def _add_box(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
+def add_box(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
     shapes = parts.box_shapes(*task.initial.get(obj, "inner_x", "inner_y", "wall_z", "wall_thickness"))
     pose = _pose(task.initial[obj][:7])
     colour = task.physics.get("box_colour", (0.35, 0.37, 0.40))
     return _add_static(scene, obj.name, pose, shapes, task.physics["friction_box"], colour, rendered)
 
 
-def _add_block(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
+def add_block(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
     size = task.initial.get(obj, "size_x", "size_y", "size_z")
     colour = task.physics["colours"][obj.name]
     entity = _entity(scene, obj.name, _pose(task.initial[obj][:7]))

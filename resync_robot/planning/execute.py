@@ -65,6 +65,8 @@ class End(Enum):
     """Too many skills were run."""
     STOPPED = "stopped"
     """The user declined a step."""
+    FAULT = "fault"
+    """The scene could not be perceived, or a motion was refused."""
 
 
 @dataclass(frozen=True)
