@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain
     from resync_robot.planning.execute import Model, Reaction
+
+_log = logging.getLogger(__name__)
 
 METHODS = ("resync", "rc", "initial")
 
@@ -117,6 +120,8 @@ def evaluate(config: EvaluateConfig) -> None:
     with Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
         for row in parallel_map(_run, jobs, context, config.workers):
             rows.append(row)
+            if not row.success:
+                _log.info("%s on %s, episode %d: %s, %s", row.method, row.scenario, row.episode, row.end, row.reason)
             wins = sum(r.success for r in rows)
             progress(len(rows) / len(jobs), f"{wins} of {len(rows)} episodes reached their goal")
     say(table(rows, methods, scenarios))
