@@ -10,11 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.evaluation_report import EpisodeRow, report, table
 
 if TYPE_CHECKING:
     from resync_robot.core.rig import Rig
+    from resync_robot.core.skill import GroundSkill
     from resync_robot.core.task import Domain
     from resync_robot.planning.execute import Model, Reaction
+    from resync_robot.planning.search import Plan
 
 _log = logging.getLogger(__name__)
 
@@ -53,7 +56,7 @@ class EvaluateConfig:
     """Simulation processes."""
 
     json: Path | None = None
-    """File for the rows, the summary and the provenance."""
+    """File for the counts by library and seed, the success rates, every episode, and the provenance."""
 
 
 @dataclass(frozen=True)
@@ -67,29 +70,26 @@ class Job:
     episode: int
 
 
-@dataclass(frozen=True)
-class Row:
-    """How it went. `planning_s` and `grounding_s` are the slowest of the episode, `scan_s` the computing of a scan."""
-
-    library: int
-    method: str
-    scenario: str
-    seed: int
-    episode: int
-    success: bool
-    end: str
-    reason: str
-    skills: int
-    planning_s: float
-    seconds: float
-
-
 def evaluate(config: EvaluateConfig) -> None:
-    """Run every episode of `config`, print the table, and write the JSON file where one is named.
+    """Run every episode of `config`, write the JSON file where one is named, and print the table.
+
+    The file holds three lists and a record, whose names and fields stay as they are:
+
+    - `rows`, one for each scenario, method, library and seed: `domain`, `scenario`, `split` ("train" or "test"),
+      `method`, `library` (its index), `library_hash`, `seed`, `episodes`, `successes`, `failure_reasons` (end and cause
+      without arguments and numbers -> how many episodes; they and the successes add up to the episodes),
+      `recoveries_per_episode` (mean number of runs of the domain's recovery skill, needless ones included).
+    - `summary`, first one for each split and method, then one for each scenario and method, over all libraries and
+      seeds: `domain`, `split`, `scenario` (null where the whole split is meant), `method`, `success_rate`, `ci95`
+      ([low, high], Wilson), `n` (episodes), `recoveries_per_episode`.
+    - `episodes`, one for each episode that was run: the fields of `EpisodeRow`.
+    - `provenance`: `version` and `git` of the program, `libraries` (content hashes, by index), `perception`, `skills`,
+      `seeds`, and `episodes`, the number for each row.
 
     Raises:
         ResyncError: bad input, or a library that cannot be used.
     """
+    from resync_robot import __version__
     from resync_robot.core.library import load_library
     from resync_robot.knowledge import shipped_library
     from resync_robot.progress import Stages, say
@@ -116,17 +116,18 @@ def evaluate(config: EvaluateConfig) -> None:
         for episode in range(config.episodes)
     ]
     context = partial(_context, config.domain, tuple(map(str, paths)), config.perception)
-    rows: list[Row] = []
+    done: list[EpisodeRow] = []
     with Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
         for row in parallel_map(_run, jobs, context, config.workers):
-            rows.append(row)
+            done.append(row)
             if not row.success:
                 _log.info("%s on %s, episode %d: %s, %s", row.method, row.scenario, row.episode, row.end, row.reason)
-            wins = sum(r.success for r in rows)
-            progress(len(rows) / len(jobs), f"{wins} of {len(rows)} episodes reached their goal")
-    say(table(rows, methods, scenarios))
+            wins = sum(r.success for r in done)
+            progress(len(done) / len(jobs), f"{wins} of {len(done)} episodes reached their goal")
     if config.json:
+        # Before the table, so that it is kept where nobody reads that.
         provenance = {
+            "version": __version__,
             "git": git_hash(),
             "libraries": hashes,
             "perception": config.perception,
@@ -134,29 +135,8 @@ def evaluate(config: EvaluateConfig) -> None:
             "seeds": list(config.seeds),
             "episodes": config.episodes,
         }
-        write_json(config.json, {"provenance": provenance, "rows": [vars(r) for r in rows]})
-
-
-def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
-    """The 95 % confidence interval of a rate (Wilson 1927), which behaves at 0 and 1 as well."""
-    if trials == 0:
-        return 0.0, 1.0
-    rate, n = successes / trials, trials
-    centre, half = rate + z * z / (2 * n), z * ((rate * (1 - rate) + z * z / (4 * n)) / n) ** 0.5
-    return max(0.0, (centre - half) / (1 + z * z / n)), min(1.0, (centre + half) / (1 + z * z / n))
-
-
-def table(rows: Sequence[Row], methods: Sequence[str], scenarios: Sequence[str]) -> str:
-    """Success by method and scenario with 95 % intervals, as markdown."""
-    lines = ["| method | " + " | ".join(scenarios) + " |", "|---" * (len(scenarios) + 1) + "|"]
-    for method in methods:
-        cells = []
-        for scenario in scenarios:
-            mine = [r.success for r in rows if (r.method, r.scenario) == (method, scenario)]
-            low, high = wilson(sum(mine), len(mine))
-            cells.append(f"{sum(mine) / len(mine):.2f} [{low:.2f}, {high:.2f}] of {len(mine)}")
-        lines.append(f"| {method} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        write_json(config.json, {"provenance": provenance, **report(done, domain, hashes)})
+    say(table(done, methods, scenarios))
 
 
 def _methods(given: Sequence[str]) -> tuple[str, ...]:
@@ -206,15 +186,29 @@ def _context(domain_name: str, paths: tuple[str, ...], perception: str) -> _Cont
     return _Context(domain, rig, perception, models)
 
 
-def _run(context: _Context, job: Job) -> Row:
+def _run(context: _Context, job: Job) -> EpisodeRow:
     import time
 
-    from resync_robot.planning.execute import plan_f
+    from resync_robot.planning.execute import End, Listener, Result, plan_f
     from sim_training.domains import world_task
     from sim_training.mine import is_at_rest
     from sim_training.world import SimWorld
 
+    class Notes(Listener):
+        """Of an episode that ends in a fault it is all there is."""
+
+        def __init__(self) -> None:
+            self.skills: list[str] = []
+            self.planning_s = 0.0
+
+        def on_plan(self, plan: Plan, reason: str) -> None:
+            self.planning_s = max(self.planning_s, plan.seconds)
+
+        def on_skill_start(self, skill: GroundSkill) -> None:
+            self.skills.append(str(skill))
+
     model, reaction = context.models[job.library, job.method]
+    notes = Notes()
     begun = time.monotonic()
     # A scene that does not stand still is not a task; the next one takes its place.
     for attempt in range(20):
@@ -223,7 +217,7 @@ def _run(context: _Context, job: Job) -> Row:
         if is_at_rest(world):
             break
     if context.perception == "oracle":
-        result = plan_f(world, model, task.goal, reaction=reaction)
+        result = plan_f(world, model, task.goal, listener=notes, reaction=reaction)
         reached = result.success
     else:
         from resync_robot.backends import open_simulated
@@ -233,26 +227,18 @@ def _run(context: _Context, job: Job) -> Row:
         with open_simulated(task, context.rig) as devices:
             seen = DeployedWorld(devices.robot, devices.cameras["wrist"], context.rig, task.objects, devices.truth)
             try:
-                result = plan_f(seen, model, task.goal, reaction=reaction)
+                result = plan_f(seen, model, task.goal, listener=notes, reaction=reaction)
+                # What the robot believes at the end does not count; what is true does.
+                reached = task.goal <= model.abstraction.true_atoms(devices.truth())
             except (PerceptionError, MotionError) as error:
-                spent = time.monotonic() - begun
-                return Row(
-                    **vars(job),
-                    success=False,
-                    end="fault",
-                    reason=error.what,
-                    skills=0,
-                    planning_s=0.0,
-                    seconds=spent,
-                )
-            # What the robot believes at the end does not count; what is true does.
-            reached = task.goal <= model.abstraction.true_atoms(devices.truth())
-    return Row(
+                result, reached = Result(End.FAULT, error.what, (), (), devices.truth()), False
+    return EpisodeRow(
         **vars(job),
         success=reached,
         end=result.end.value,
         reason=result.reason,
-        skills=len(result.transitions),
-        planning_s=max((p.seconds for p in result.plans), default=0.0),
+        skills=len(notes.skills),
+        planning_s=notes.planning_s,
         seconds=time.monotonic() - begun,
+        skills_run=tuple(notes.skills),
     )

@@ -1,4 +1,4 @@
-"""Evaluation: intervals that are known, tables that add up, worlds of their own, and bad input said clearly."""
+"""Evaluation: worlds of their own, episodes that are run and written, and bad input said clearly."""
 
 from __future__ import annotations
 
@@ -10,50 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from resync_robot import cli, evaluate
+from resync_robot import __version__, cli, evaluate
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.library import save_library
-from resync_robot.evaluate import Row, table, wilson
 from sim_training.domains import find_domain, world_task
 from tests.libraries import DOMAIN, given_library
 
 CORNERED = find_domain(DOMAIN)
-
-
-# Agresti & Coull (1998) and statsmodels' proportion_confint(method="wilson") to four digits.
-@pytest.mark.parametrize(
-    ("successes", "trials", "low", "high"),
-    [(0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (5, 10, 0.2366, 0.7634), (1, 50, 0.0035, 0.1050), (0, 0, 0.0, 1.0)],
-)
-def test_wilson_gives_published_values(successes: int, trials: int, low: float, high: float) -> None:
-    assert wilson(successes, trials) == pytest.approx((low, high), abs=1e-4)
-
-
-@given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
-def test_wilson_brackets_the_rate_and_mirrors(counts: tuple[int, int]) -> None:
-    successes, trials = counts
-    low, high = wilson(successes, trials)
-    assert -1e-12 <= low <= successes / trials + 1e-12
-    assert successes / trials - 1e-12 <= high <= 1
-    # It is the set of rates p for which the observation is within z standard errors of p.
-    for p in (low, high):
-        assert trials * (successes / trials - p) ** 2 == pytest.approx(1.96**2 * p * (1 - p), abs=1e-9)
-    mirrored = wilson(trials - successes, trials)
-    assert mirrored == pytest.approx((1 - high, 1 - low), abs=1e-12)
-
-
-def row(method: str, scenario: str, success: bool, episode: int = 0) -> Row:
-    return Row(0, method, scenario, 0, episode, success, "goal" if success else "stuck", "", 2, 0.01, 1.0)
-
-
-def test_the_table_has_a_line_for_each_method_and_a_column_for_each_scenario() -> None:
-    rows = [row("resync", "s0", i < 9) for i in range(10)] + [row("rc", "s0", False), row("rc", "s1", True)]
-    rows += [row("resync", "s1", True)]
-    lines = table(rows, ("resync", "rc"), ("s0", "s1")).splitlines()
-    assert lines[0] == "| method | s0 | s1 |"
-    assert lines[1].replace("-", "") == "||||"
-    assert lines[2] == "| resync | 0.90 [0.60, 0.98] of 10 | 1.00 [0.21, 1.00] of 1 |"
-    assert lines[3] == "| rc | 0.00 [0.00, 0.79] of 1 | 1.00 [0.21, 1.00] of 1 |"
 
 
 def test_groups_of_scenarios_and_lists_are_spelled_out_once() -> None:
@@ -187,9 +150,32 @@ def test_episodes_are_run_counted_and_written(
     file = tmp_path / "deep" / "rows.json"
     args = ["--library", str(library), "--methods", "initial", "--scenarios", "s0", "--episodes", "2"]
     assert cli.main(["evaluate", *args, "--workers", "0", "--json", str(file)]) == 0
-    written = json.loads(file.read_text())
-    rows = written["rows"]
-    assert [(r["scenario"], r["method"], r["seed"]) for r in rows][:1] == [("s0", "initial", 0)]
     # The given model alone is stuck in the corner, by physics.
     assert "| initial | 0.00 [0.00, 0.66] of 2 |" in capsys.readouterr().out
-    assert written["provenance"]["libraries"] == [given_library().content_hash]
+    written = json.loads(file.read_text())
+    assert set(written) == {"rows", "summary", "episodes", "provenance"}
+    (row,) = written["rows"]
+    assert (row["domain"], row["scenario"], row["split"], row["method"]) == (DOMAIN, "s0", "train", "initial")
+    assert (row["episodes"], row["successes"], sum(row["failure_reasons"].values())) == (2, 0, 2)
+    assert [(e["scenario"], e["seed"], e["episode"], e["success"]) for e in written["episodes"]] == [
+        ("s0", 0, 0, False),
+        ("s0", 0, 1, False),
+    ]
+    for episode in written["episodes"]:
+        assert episode["skills_run"] == ["Pick(r, b0)"] * 3
+        assert (episode["skills"], episode["end"]) == (3, "stuck")
+    provenance = written["provenance"]
+    assert provenance["version"] == __version__
+    assert provenance["libraries"] == [row["library_hash"]] == [given_library().content_hash]
+
+
+def test_the_table_is_lost_before_the_file_is(library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nobody_reads(text: str) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr("resync_robot.progress.say", nobody_reads)
+    monkeypatch.setattr("sim_training.parallel.parallel_map", lambda run, jobs, context, workers: [])
+    monkeypatch.setattr(evaluate, "table", lambda *_: "")
+    with pytest.raises(BrokenPipeError):
+        evaluate.evaluate(evaluate.EvaluateConfig(library=(library,), json=tmp_path / "rows.json"))
+    assert json.loads((tmp_path / "rows.json").read_text())["rows"] == []

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 from resync_robot.core.library import load_library
-from resync_robot.evaluate import wilson
+from resync_robot.evaluation_report import wilson
 from resync_robot.run_folder import RunFolder
 from resync_robot.stages import PRESETS, check_recovery, mine
 from sim_training.domains import find_domain
