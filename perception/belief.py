@@ -124,7 +124,12 @@ class Belief:
         for block in seen:
             self._take(block, scene.blocks[block.name])
         unseen = [b for b in self._blocks if b not in seen and b != self._held]
-        hidden = [b for b in unseen if self._hide(b, seen, scene)]
+        # From above down, as last believed: what hides under one block may hide another in its turn.
+        unseen.sort(key=lambda b: -self._known[b].features[2] if b in self._known else 0.0)
+        hidden: list[Object] = []
+        for block in unseen:
+            if self._hide(block, [*seen, *hidden], scene):
+                hidden.append(block)
         missing = tuple(b.name for b in unseen if b not in hidden)
         self.report = ScanReport(
             seen=tuple(b.name for b in seen),
@@ -231,8 +236,8 @@ class Belief:
             return sizes.copy(), 1
         return before.features[7:] + (sizes - before.features[7:]) / (before.scans + 1), before.scans + 1
 
-    def _hide(self, block: Object, seen: Sequence[Object], scene: SceneEstimate) -> bool:
-        """Is a block that was not found plausibly under a seen one? If so, its estimate is brought up to date."""
+    def _hide(self, block: Object, covers: Sequence[Object], scene: SceneEstimate) -> bool:
+        """Is a block that was not found plausibly under another one? If so, its estimate is brought up to date."""
         before, glimpse = self._known.get(block), scene.glimpses.get(block.name)
         if glimpse is not None:
             place = glimpse.centre
@@ -240,14 +245,16 @@ class Belief:
             place = before.features[:2]
         else:
             return False
-        for cover in seen:
-            above = self._known[cover].features
-            underside = above[2] - above[9] / 2
-            lifted = underside > self._ground(above[:2]) + LIFTED
-            if lifted and float(np.hypot(*(above[:2] - place))) < BENEATH:
-                self._put_under(block, self._known[cover], glimpse)
-                return True
-        return False
+        over = [self._known[c] for c in covers if self._is_over(self._known[c].features, place)]
+        if not over:
+            return False
+        self._put_under(block, min(over, key=lambda k: _underside(k.features)), glimpse)
+        return True
+
+    def _is_over(self, cover: np.ndarray, place: np.ndarray) -> bool:
+        """Does it stand there on something?"""
+        lifted = _underside(cover) > self._ground(cover[:2]) + LIFTED
+        return bool(lifted and np.hypot(*(cover[:2] - place)) < BENEATH)
 
     def _put_under(self, block: Object, cover: _Known, glimpse: Glimpse | None) -> None:
         before = self._known.get(block)
@@ -263,8 +270,7 @@ class Belief:
         if before is not None:
             quat, size = _nearest_quarter_turn(quat, before.features[3:7]), before.features[7:10]
             size_sigma, scans = 0.0015, before.scans
-        underside = above[2] - above[9] / 2
-        features = np.array([*above[:2], underside - size[2] / 2, *quat, *size])
+        features = np.array([*above[:2], _underside(above) - size[2] / 2, *quat, *size])
         covariance = np.zeros((10, 10))
         variance = np.diag(cover.covariance)[:3] + np.array([0.0015, 0.0015, 0.003]) ** 2
         covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.05**2, quat)
@@ -276,6 +282,10 @@ class Belief:
         catalogue = self._estimator.catalogue
         inside = inside_box(xy, self._known[self._box].features)
         return catalogue.table_z + (catalogue.floor_thickness if inside else 0.0)
+
+
+def _underside(features: np.ndarray) -> float:
+    return float(features[2] - features[9] / 2)
 
 
 def _nearest_quarter_turn(quat: np.ndarray, reference: np.ndarray) -> np.ndarray:

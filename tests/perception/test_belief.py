@@ -185,3 +185,15 @@ def test_never_seen_is_missing_and_has_no_features(belief: Belief) -> None:
 def test_a_tipped_block_is_named(belief: Belief) -> None:
     belief.update(scene(block("b0", 0.45, 0.05, upright=False), block("b1", 0.45, 0.30, 0.0)), robot())
     assert belief.report.tipped == ("b0",)
+
+
+@pytest.mark.parametrize("middle, bottom", [("b0", "b1"), ("b1", "b0")])
+def test_two_blocks_hidden_under_a_third_stand_on_each_other(rig: Rig, middle: str, bottom: str) -> None:
+    belief = Belief(R, THE_BOX, (B0, B1, BLOCK("b2")), rig)
+    belief.update(
+        scene(block(bottom, 0.52, 0.0), block(middle, 0.45, 0.30, FLOOR + HEIGHT), block("b2", 0.4, -0.3)), robot()
+    )
+    glimpses = tuple(Glimpse(n, np.array([0.525, 0.005])) for n in ("b0", "b1"))
+    state = belief.update(scene(block("b2", 0.52, 0.0, FLOOR + 2 * HEIGHT, stacked=True), glimpses=glimpses), robot())
+    heights = [state.get(BLOCK(n), "z")[0] for n in (bottom, middle, "b2")]
+    assert heights == pytest.approx([FLOOR + (i + 0.5) * HEIGHT for i in range(3)], abs=0.001)
