@@ -273,10 +273,12 @@ def _add_lights(scene: sapien.Scene, physics: Mapping[str, Any]) -> None:
 
 
 @cache
-def _configure_renderer() -> None:
+def _configure_renderer() -> render.RenderSystem:
+    """The cache keeps this system for as long as the process lives: when the last one goes, so do the compiled
+    shaders, and the next scene compiles them anew, which takes a software driver seconds."""
     render.set_camera_shader_dir("default")
     try:
-        render.RenderSystem()
+        return render.RenderSystem()
     except Exception as error:  # SAPIEN raises RuntimeError or a pybind error depending on what is missing
         raise RenderError(
             f"no Vulkan device can render: {error}", "run: bash scripts/install_vulkan.sh, then resync-robot doctor"
