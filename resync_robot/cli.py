@@ -7,6 +7,8 @@ before their function runs, so that --help answers at once.
 from __future__ import annotations
 
 import logging
+import os
+import select
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -37,12 +39,45 @@ Every command takes -v (--verbose) to log at debug level. --version prints the v
 
 PACKAGES = ("resync_robot", "sim_training", "policies", "perception", "hardware", "calibration")
 
-BAD_INPUT, INTERRUPTED = 2, 130
-"""Exit codes; 0 is success, 1 a defect of this program."""
+BAD_INPUT, INTERRUPTED, UNREAD = 2, 130, 141
+"""Exit codes; 0 is success, 1 a defect of this program. The latter two as a shell has them: 128 + SIGINT or SIGPIPE."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one sub-command and return its exit code."""
+    """Run one sub-command and return its exit code; end quietly where the reader of its output has left (`| head`)."""
+    try:
+        try:
+            code = _run(argv)
+        except SystemExit:
+            # Flushed here and below: the interpreter, at its end, would report a closed pipe on its own.
+            print(end="", flush=True)
+            raise
+        print(end="", flush=True)
+        return code
+    except BrokenPipeError:
+        # A worker's pipe breaks with the same error, and that is a defect to be seen.
+        if not _unread():
+            raise
+    except SystemExit as end:
+        # Rich answers a closed pipe by this, with code 1.
+        if not isinstance(end.__context__, BrokenPipeError):
+            raise
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for output in _unread():
+        # What is still buffered has to go somewhere when the interpreter ends.
+        os.dup2(nowhere, output)
+    return UNREAD
+
+
+def _unread() -> list[int]:
+    """Which of standard output and error are pipes whose reader has left."""
+    poll = select.poll()
+    for output in (1, 2):
+        poll.register(output, 0)
+    return [output for output, event in poll.poll(0) if event & (select.POLLERR | select.POLLHUP)]
+
+
+def _run(argv: Sequence[str] | None) -> int:
     args = list(sys.argv[1:] if argv is None else argv)
     if args == ["--version"]:
         print(f"resync-robot {__version__}")

@@ -1,6 +1,7 @@
 """The command line: what it answers, with which exit code, and what it must not load to do so."""
 
 import logging
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -155,3 +156,58 @@ def test_the_module_runs_as_the_command_does() -> None:
     command = [sys.executable, "-m", "resync_robot", "--version"]
     outcome = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     assert outcome.stdout == f"resync-robot {__version__}\n"
+
+
+REPORTS = "from resync_robot.progress import say; [say('a line') for _ in range(3)]"
+PRINTS = "[print('a line' * 1000) for _ in range(30)]"
+
+
+def unread(code: str, stderr_too: bool = False, unbuffered: bool = False) -> tuple[int, str]:
+    """Exit code and error output of Python code whose standard output is a pipe that nobody reads any more."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        outcome = subprocess.run(
+            [sys.executable, "-c", code],
+            stdout=writing,
+            stderr=writing if stderr_too else subprocess.PIPE,
+            env=os.environ | {"PYTHONUNBUFFERED": "1" if unbuffered else ""},
+            text=True,
+            timeout=120,
+        )
+    finally:
+        os.close(writing)
+    return outcome.returncode, outcome.stderr or ""
+
+
+def doctor_that(does: str) -> str:
+    """Code of the program with another doctor."""
+    return (
+        "import sys; from resync_robot import cli\n"
+        f"def run(config): {does}\n"
+        "cli.COMMANDS['doctor'] = (cli.DoctorConfig, run)\n"
+        "sys.exit(cli.main(['doctor']))"
+    )
+
+
+@pytest.mark.parametrize("stderr_too", [False, True])
+@pytest.mark.parametrize("argument", ["--help", "--version"])
+def test_a_reader_that_has_left_ends_the_program_quietly(argument: str, stderr_too: bool) -> None:
+    code = f"import sys; from resync_robot.cli import main; sys.exit(main(['{argument}']))"
+    assert unread(code, stderr_too) == (141, "")
+
+
+@pytest.mark.parametrize("does", [REPORTS, PRINTS])
+@pytest.mark.parametrize(("stderr_too", "unbuffered"), [(False, False), (True, False), (False, True)])
+def test_a_command_that_reports_to_nobody_ends_quietly(does: str, stderr_too: bool, unbuffered: bool) -> None:
+    assert unread(doctor_that(does), stderr_too, unbuffered) == (141, "")
+
+
+def test_a_defect_is_shown_though_nobody_reads_the_output() -> None:
+    assert "ZeroDivisionError" in unread(doctor_that("print('a line'); 1 / 0"))[1]
+
+
+def test_a_pipe_that_breaks_elsewhere_is_a_defect_and_keeps_its_traceback(given) -> None:
+    given("doctor", BrokenPipeError("a worker has gone"))
+    with pytest.raises(BrokenPipeError):
+        cli.main(["doctor"])
