@@ -50,7 +50,7 @@ class Preset:
     proxy_checks: int = 24
     """Fresh worlds in which the recovery is followed by the real failed skill."""
     dreams: int = 150
-    attempts: int = 210
+    attempts: int = 280
 
 
 PRESETS = {

@@ -23,7 +23,7 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.learning import recovery_policy as view
 from resync_robot.learning.recovery_policy import ActorCritic
-from sim_training.recovery import FailedWorlds, RecoverySettings, reward
+from sim_training.recovery import FailedWorlds, RecoverySettings, lagging, reward
 from sim_training.vector_env import RecoveryScenes
 
 if TYPE_CHECKING:
@@ -92,6 +92,7 @@ class RecoveryEnv:
         self.task_index = self._everyone % len(scenes.tasks)
         self.steps = torch.zeros(scenes.count, dtype=torch.long, device=device)
         self.commanded = torch.zeros(scenes.count, 3, device=device)
+        self.lag = torch.zeros(scenes.count, device=device)
         self.x = torch.zeros(scenes.count, view.PROJECTED_SIZE, device=device)
         self.reset(self._everyone)
 
@@ -106,6 +107,7 @@ class RecoveryEnv:
         poses, q, tip = self.worlds.draw_starts(task, self.random)
         self.scenes.reset(list(zip(which.tolist(), task.tolist(), poses, q, strict=True)))
         self.commanded[which] = tip
+        self.lag[which] = self.settings.lag * torch.rand(len(which), generator=self.random, device=self.x.device)
         self.steps[which] = 0
         self.x[which] = self._read(which)
 
@@ -117,9 +119,10 @@ class RecoveryEnv:
 
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Reward, success, terminated and truncated, each (n,); `x` is then the state to act from."""
-        previous = self.x
+        previous, before = self.x, self.commanded
         self.commanded = view.commanded_tip(previous, action)
-        self.scenes.step(self.worlds.joints_at(self.commanded, self.task_index))
+        sent = lagging(self.commanded, before, self.lag)
+        self.scenes.step(self.worlds.joints_at(sent, self.task_index))
         self.x = self._read(self._everyone)
         self.steps += 1
         gained, success, failed = reward(self.x, previous, self.gamma, self.settings)

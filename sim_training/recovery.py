@@ -49,6 +49,16 @@ class RecoverySettings:
     tipping_cost: float = 1.0
     gap_weight: float = 3.0
     horizon: int = 80
+    lag: float = 0.9
+    """Most control steps that an arm may be behind its commands: streaming within jerk limits costs some 30 to 90 ms."""
+
+
+def lagging(command: Tensor, before: Tensor, lag: Tensor) -> Tensor:
+    """(n, 3) where an arm that is (n,) `lag` control steps late is sent by the end of this one.
+
+    Commands are ramps from one to the next; a late arm ends each step that share of the ramp behind.
+    """
+    return command - lag[:, None] * (command - before)
 
 
 def is_free(x: Tensor, s: RecoverySettings) -> Tensor:

@@ -45,7 +45,8 @@ class Domain:
         relocate: (task, object, relative pose, rng) -> the task with that object and the failure object in the
             relative pose; how failure mining and dreaming resample states.
         dream: (rng, seed, how many objects of the relevant type) -> a task in which all of them begin free.
-        practice: (rng, seed) -> a task with one object somewhere between trapped and free.
+        practice: (rng, seed) -> a task with one object somewhere between trapped and free, or covered.
+        expert: (state, goal) -> the skill sequence that a person would give: (skill name, objects) each.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Domain:
     relocate: Callable[[Task, Object, tuple[float, float, float], np.random.Generator], Task]
     dream: Callable[[np.random.Generator, int, int], Task]
     practice: Callable[[np.random.Generator, int], Task]
+    expert: Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
 
     def predicate(self, name: str) -> Predicate:
         for p in self.predicates:

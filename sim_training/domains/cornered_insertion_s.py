@@ -6,21 +6,19 @@ block does). Nothing here says so: the given model is oblivious, and the physics
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from resync_robot.core import spatial
-from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Variable
 from resync_robot.core.task import Domain, Scenario, Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
-from resync_robot.learning.failures import place_relative
-from sim_training.parts import BOX_FLOOR
-from sim_training.randomise import draw_physics
+from resync_robot.learning.failures import place_relative, relative_pose
+from sim_training.domains.layouts import THE_BOX, Layout, block_features, sample_task
+from sim_training.parts import CLEARANCE
 
-R, THE_BOX = ROBOT("r"), BOX("box")
 HAND_EMPTY = Predicate("HandEmpty", (ROBOT,))
 HOLDING = Predicate("Holding", (ROBOT, BLOCK))
 ON = Predicate("On", (BLOCK, BLOCK))
@@ -62,116 +60,7 @@ def on(state: State, objects: tuple[Object, ...]) -> float:
     return float(abs(gap[2] - seated) < 0.006 and np.hypot(gap[0], gap[1]) < 0.010)
 
 
-# -- sampling ---------------------------------------------------------------------------------------------------------
-
-CORNER_GAP = (0.0005, 0.003)
-"""Gap to each of the two walls of a cornered block, m."""
-FREE_GAP = 0.045
-"""Least gap to every wall of a block that begins free, m."""
-APART = 0.16
-"""Least distance between the centres of a cornered block and a free one in the box, m: room to be dragged into."""
-
-Placer = Callable[[np.random.Generator, np.ndarray, float, int], tuple[float, float, float]]
-
-
-def sample_box(rng: np.random.Generator) -> np.ndarray:
-    """(11,) features of the box: where it stands on the table, and how large it is."""
-    x, y, yaw = rng.uniform(0.45, 0.51), rng.uniform(-0.03, 0.03), rng.uniform(-0.2, 0.2)
-    inner = rng.uniform(0.28, 0.32, 2)
-    return np.array([x, y, BOX_FLOOR, *spatial.quat_from_yaw(yaw), *inner, rng.uniform(0.10, 0.115), 0.03])
-
-
-def sample_block_sizes(rng: np.random.Generator, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """(3,) extents of each body: one footprint for the set, as building blocks have, and a height each."""
-    width = rng.uniform(0.052, 0.066)
-    sizes = {}
-    for name in names:
-        # Moulded blocks agree to a few hundredths; rubber pads give way by more, the rigid ones simulated here do not.
-        side = width + rng.uniform(-0.00005, 0.00005)
-        sizes[name] = np.array([side, side, rng.uniform(0.040, 0.050)])
-    return sizes
-
-
-def block_features(box: np.ndarray, local: Sequence[float], size: np.ndarray, on_table: bool = False) -> np.ndarray:
-    """(10,) features of a block that stands at `local` = (x, y, yaw) in the box's frame, in it or on the table."""
-    world = spatial.pose_from_features(box[:7]) @ spatial.transform(
-        spatial.rotation_about("z", local[2]), np.array([local[0], local[1], 0.0])
-    )
-    features = spatial.features_from_pose(world)
-    features[2] = size[2] / 2 + (0.0 if on_table else BOX_FLOOR) + 0.0005
-    return np.concatenate([features, size])
-
-
-def corner_pose(rng: np.random.Generator, box: np.ndarray, width: float, corner: int) -> tuple[float, float, float]:
-    """(x, y, yaw) in the box's frame, squeezed into corner 0-3."""
-    sx, sy = ((1, 1), (1, -1), (-1, 1), (-1, -1))[corner]
-    yaw = rng.uniform(-0.03, 0.03) + rng.integers(4) * np.pi / 2
-    half = width / 2 * (abs(np.cos(yaw)) + abs(np.sin(yaw)))
-    x, y = (inner / 2 - half - rng.uniform(*CORNER_GAP) for inner in box[7:9])
-    return sx * x, sy * y, yaw
-
-
-def wall_pose(rng: np.random.Generator, box: np.ndarray, width: float, wall: int) -> tuple[float, float, float]:
-    """(x, y, yaw) in the box's frame, against the middle of wall 0-3 only."""
-    yaw = rng.uniform(-0.03, 0.03) + rng.integers(4) * np.pi / 2
-    half = width / 2 * (abs(np.cos(yaw)) + abs(np.sin(yaw)))
-    axis, sign = wall // 2, 1 - 2 * (wall % 2)
-    place = np.zeros(2)
-    place[axis] = sign * (box[7 + axis] / 2 - half - rng.uniform(*CORNER_GAP))
-    place[1 - axis] = rng.uniform(-0.06, 0.06)
-    return float(place[0]), float(place[1]), yaw
-
-
-def free_in_box(rng: np.random.Generator, box: np.ndarray, width: float) -> tuple[float, float, float]:
-    room = box[7:9] / 2 - width * 0.71 - FREE_GAP
-    x, y = rng.uniform(-room, room)
-    return float(x), float(y), rng.uniform(-np.pi, np.pi)
-
-
-def free_on_table(rng: np.random.Generator, box: np.ndarray) -> tuple[float, float, float]:
-    """(x, y, yaw) in the box's frame, to the left or right of it."""
-    beside = box[8] / 2 + box[10] + rng.uniform(0.085, 0.13)
-    return rng.uniform(-0.10, 0.08), float(rng.choice([-1, 1])) * beside, rng.uniform(-np.pi, np.pi)
-
-
-def sample_task(
-    rng: np.random.Generator,
-    seed: int,
-    goal: Atoms,
-    cornered: Sequence[str],
-    walled: Sequence[str],
-    free: Sequence[str],
-    in_box: float = 0.5,
-) -> Task:
-    """A task with the named blocks in corners, against single walls, and free: in the box or on the table.
-
-    Args:
-        in_box: probability that a free block stands in the box.
-    """
-    rig = load_rig()
-    while True:
-        box = sample_box(rng)
-        corners = rng.permutation(4)
-        local: dict[str, tuple[float, float, float]] = {}
-        sizes = sample_block_sizes(rng, (*cornered, *walled, *free))
-        outside: set[str] = set()
-        for name, corner in zip(cornered, corners, strict=False):
-            local[name] = corner_pose(rng, box, sizes[name][0], int(corner))
-        for name in walled:
-            local[name] = wall_pose(rng, box, sizes[name][0], int(rng.integers(4)))
-        for name in free:
-            if rng.random() < in_box:
-                local[name] = free_in_box(rng, box, sizes[name][0])
-            else:
-                local[name] = free_on_table(rng, box)
-                outside.add(name)
-        if _apart(local):
-            break
-    features = {BLOCK(n): block_features(box, local[n], sizes[n], n in outside) for n in sorted(local)}
-    features[THE_BOX] = box
-    features[R] = np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, rig.gripper.max_opening])
-    state = State(features)
-    return Task(state.objects, state, goal, draw_physics(rng, sorted(local)), seed)
+# -- tasks ------------------------------------------------------------------------------------------------------------
 
 
 def relocate(task: Task, block: Object, relative: tuple[float, float, float], rng: np.random.Generator) -> Task:
@@ -185,15 +74,22 @@ def relocate(task: Task, block: Object, relative: tuple[float, float, float], rn
 
 def dream_task(rng: np.random.Generator, seed: int, blocks: int) -> Task:
     """On(b0, b1) with every block free on the table, so that any of them can be moved into the box."""
-    names = [f"b{i}" for i in range(blocks)]
-    return sample_task(rng, seed, frozenset({ON(BLOCK("b0"), BLOCK("b1"))}), [], [], names, in_box=0.0)
+    names = tuple(f"b{i}" for i in range(blocks))
+    return sample_task(rng, seed, frozenset({ON(BLOCK("b0"), BLOCK("b1"))}), Layout(free=names, in_box=0.0))
+
+
+COVERED = 0.25
+"""Share of practice with a third block on the one that matters."""
 
 
 def practice_task(rng: np.random.Generator, seed: int) -> Task:
-    """On(b0, b1) with one of them anywhere between deep in a corner and the middle, walls and middling gaps included.
+    """On(b0, b1) with one of them covered, or anywhere between deep in a corner and the middle of the box.
 
     More often the base: Insert fails on it, and mining, which stops at the first failed Pick, never shows that.
     """
+    matters = BLOCK("b1" if rng.random() < 0.7 else "b0")
+    if rng.random() < COVERED:
+        return cover(dream_task(rng, seed, 3), BLOCK("b2"), matters, rng)
     task = dream_task(rng, seed, 2)
     if rng.random() < 0.3:
         gaps = rng.uniform(0.0005, 0.006), rng.uniform(0.0005, 0.006)
@@ -202,32 +98,112 @@ def practice_task(rng: np.random.Generator, seed: int) -> Task:
         gaps = rng.uniform(0.001, 0.045), rng.uniform(0.001, 0.045 if rng.random() < 0.67 else 0.09)
     # Close to a wall a block cannot stand askew.
     angle = rng.uniform(-0.05, 0.05) if min(gaps) < 0.015 else rng.uniform(-np.pi / 4, np.pi / 4)
-    moved = "b1" if rng.random() < 0.7 else "b0"
-    return relocate(task, BLOCK(moved), (min(gaps), max(gaps), float(angle)), rng)
+    return relocate(task, matters, (min(gaps), max(gaps), float(angle)), rng)
 
 
-def _apart(local: dict[str, tuple[float, float, float]]) -> bool:
-    places = [np.array(p[:2]) for p in local.values()]
-    return all(np.linalg.norm(a - b) > APART for i, a in enumerate(places) for b in places[i + 1 :])
+def cover(task: Task, upper: Object, lower: Object, rng: np.random.Generator) -> Task:
+    """The task with `upper` seated on `lower`, off centre by what stud and socket leave it, as a hand leaves it."""
+    heights = [task.initial.get(o, "size_z")[0] for o in (upper, lower)]
+    world = spatial.pose_from_features(task.initial[lower][:7])
+    slack = 0.8 * CLEARANCE
+    offset = spatial.transform(
+        spatial.rotation_about("z", rng.integers(4) * np.pi / 2),
+        np.array([*rng.uniform(-slack, slack, 2), sum(heights) / 2 + 0.0003]),
+    )
+    values = dict(zip(BLOCK.features, spatial.features_from_pose(world @ offset), strict=False))
+    return Task(task.objects, task.initial.with_features(upper, **values), task.goal, task.physics, task.seed)
+
+
+TIGHT = 0.032
+"""Gap to two walls, m, below which a person frees a block before touching it otherwise."""
+
+
+def expert(state: State, goal: Atoms) -> tuple[tuple[str, tuple[Object, ...]], ...]:
+    """The skill sequence a person gives: free what is tight and is needed, then build from below."""
+    robot, box = state.of_type(ROBOT)[0], state.of_type(BOX)[0]
+    pairs = [(a.args[0], a.args[1]) for a in goal if a.predicate == ON]
+    uppers = [upper for upper, _ in pairs]
+    ordered: list[tuple[Object, Object]] = []
+    while len(ordered) < len(pairs):
+        built = {upper for upper, _ in ordered}
+        ordered += sorted(
+            ((u, b) for u, b in pairs if (u, b) not in ordered and (b in built or b not in uppers)), key=str
+        )
+    # The base first: a block that was inserted on it stands in the way of nothing.
+    needed = dict.fromkeys(o for upper, base in ordered for o in (base, upper))
+    recovered = [b for b in needed if _is_tight(relative_pose(state, b, box))]
+    steps: list[tuple[str, tuple[Object, ...]]] = [("Recover", (robot, b, box)) for b in recovered]
+    for upper, base in ordered:
+        steps += [("Pick", (robot, upper)), ("Insert", (robot, upper, base))]
+    return tuple(steps)
+
+
+def _is_tight(relative: np.ndarray) -> bool:
+    smaller, larger = relative[:2]
+    return bool(smaller > -0.01 and larger < TIGHT)
 
 
 def _scenario(
-    name: str,
-    description: str,
-    goal: Sequence[tuple[str, str]],
-    cornered: Sequence[str],
-    walled: Sequence[str] = (),
-    free: Sequence[str] = (),
-    training: bool = False,
+    name: str, description: str, goal: Sequence[tuple[str, str]], *layouts: Layout, training: bool = False
 ) -> Scenario:
+    """Of several layouts each episode draws one."""
     atoms = frozenset(ON(BLOCK(a), BLOCK(b)) for a, b in goal)
     return Scenario(
         name,
         description,
         lambda _domain: atoms,
-        lambda rng, seed: sample_task(rng, seed, atoms, cornered, walled, free),
+        lambda rng, seed: sample_task(rng, seed, atoms, layouts[int(rng.integers(len(layouts)))]),
         training,
     )
+
+
+SCENARIOS = (
+    _scenario(
+        "s0",
+        "training: pick the cornered block, insert it onto a free one",
+        [("b0", "b1")],
+        Layout(cornered=("b0",), free=("b1",)),
+        training=True,
+    ),
+    _scenario(
+        "s1",
+        "test: insert a free block onto the cornered one",
+        [("b1", "b0")],
+        Layout(cornered=("b0",), free=("b1",)),
+    ),
+    _scenario(
+        "s2",
+        "test: both blocks cornered, a free bystander",
+        [("b0", "b1")],
+        Layout(cornered=("b0", "b1"), free=("b2",)),
+    ),
+    _scenario(
+        "s3",
+        "test: a tower of three on the cornered block",
+        [("b1", "b0"), ("b2", "b1")],
+        Layout(cornered=("b0",), free=("b1", "b2")),
+    ),
+    _scenario(
+        "s4",
+        "test: four blocks, none cornered: no recovery is needed",
+        [("b1", "b0")],
+        Layout(free=("b0", "b1", "b2", "b3")),
+    ),
+    _scenario(
+        "s5",
+        "test: one block against a single wall, below or above; a cornered bystander",
+        [("b1", "b0")],
+        Layout(walled=("b0",), free=("b1",), cornered=("b2",)),
+        Layout(walled=("b1",), free=("b0",), cornered=("b2",)),
+    ),
+    _scenario(
+        "s6",
+        "test: one block, below or above, 5 to 35 mm from both walls of a corner",
+        [("b1", "b0")],
+        Layout(gapped=("b0",), free=("b1",)),
+        Layout(gapped=("b1",), free=("b0",)),
+    ),
+)
 
 
 CORNERED_INSERTION_S = Domain(
@@ -240,35 +216,6 @@ CORNERED_INSERTION_S = Domain(
     relocate=relocate,
     dream=dream_task,
     practice=practice_task,
-    scenarios={
-        s.name: s
-        for s in (
-            _scenario(
-                "s0",
-                "training: pick the cornered block, insert it onto a free one",
-                [("b0", "b1")],
-                ["b0"],
-                free=["b1"],
-                training=True,
-            ),
-            _scenario("s1", "test: insert a free block onto the cornered one", [("b1", "b0")], ["b0"], free=["b1"]),
-            _scenario(
-                "s2", "test: both blocks cornered, one free bystander", [("b0", "b1")], ["b0", "b1"], free=["b2"]
-            ),
-            _scenario(
-                "s3",
-                "test: a tower of three on the cornered block",
-                [("b1", "b0"), ("b2", "b1")],
-                ["b0"],
-                free=["b1", "b2"],
-            ),
-            _scenario(
-                "s4",
-                "test: a block against one wall onto the cornered one, another cornered bystander",
-                [("b3", "b0")],
-                ["b0", "b2"],
-                walled=["b3"],
-            ),
-        )
-    },
+    expert=expert,
+    scenarios={s.name: s for s in SCENARIOS},
 )

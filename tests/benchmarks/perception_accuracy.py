@@ -23,7 +23,7 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.world import CameraFrame
-from sim_training.domains.cornered_insertion_s import THE_BOX, R, sample_task
+from sim_training.domains.layouts import THE_BOX, Layout, R, sample_task
 from sim_training.sensor import NoisySensor
 from sim_training.world import SimWorld
 
@@ -53,12 +53,12 @@ class Scene:
     def __init__(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
         where = (
-            {"cornered": ["b0", "b1"], "walled": [], "free": ["b2"]},
-            {"cornered": ["b0"], "walled": ["b1"], "free": ["b2", "b3"]},
-            {"cornered": [], "walled": [], "free": ["b0", "b1", "b2"]},
+            Layout(cornered=("b0", "b1"), free=("b2",)),
+            Layout(cornered=("b0",), walled=("b1",), free=("b2", "b3")),
+            Layout(free=("b0", "b1", "b2")),
         )[seed % 3]
         self.rig = load_rig()
-        self.task = sample_task(rng, seed, frozenset(), **where)
+        self.task = sample_task(rng, seed, frozenset(), where)
         self.world = SimWorld(self.task, self.rig, rendered=True)
         self.sensor = NoisySensor(seed, self.rig.camera("wrist"))
         self.scan = Scan(self.rig)

@@ -17,7 +17,8 @@ from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.learning.failures import relative_pose
 from resync_robot.planning.abstract import Abstraction
 from sim_training.domains import DOMAINS, find_domain, world_task
-from sim_training.domains.cornered_insertion_s import CORNER_GAP, FREE_GAP, hand_empty, holding, on
+from sim_training.domains.cornered_insertion_s import cover, expert, hand_empty, holding, on
+from sim_training.domains.layouts import CORNER_GAP, FREE_GAP, MIDDLING_GAP
 from tests import scenes
 from tests.libraries import DOMAIN
 from tests.scenes import B0, B1, B2, THE_BOX, R
@@ -28,7 +29,7 @@ GIVEN = Abstraction(CORNERED.predicates, CORNERED.classifiers)
 seeds = st.integers(0, 2**31)
 scenario_names = st.sampled_from(sorted(CORNERED.scenarios))
 
-IN_CORNERS = {"s0": {"b0"}, "s1": {"b0"}, "s2": {"b0", "b1"}, "s3": {"b0"}, "s4": {"b0", "b2"}}
+IN_CORNERS = {"s0": {"b0"}, "s1": {"b0"}, "s2": {"b0", "b1"}, "s3": {"b0"}, "s4": set(), "s5": {"b2"}, "s6": set()}
 """Names of the cornered blocks, as the descriptions say."""
 
 
@@ -93,6 +94,15 @@ def test_every_block_stands_in_the_box_or_clear_of_it_and_never_in_a_wall(name: 
         assert bottom == pytest.approx((box[2] if in_box else 0.0) + 0.0005, abs=1e-6)
 
 
+@settings(max_examples=30)
+@given(seeds)
+def test_single_walls_and_middling_gaps(seed: int) -> None:
+    gaps = {name: [relative_pose(sample(name, seed).initial, b, THE_BOX) for b in (B0, B1)] for name in ("s5", "s6")}
+    walled = [g for g in gaps["s5"] if g[0] >= 0 and g[0] <= CORNER_GAP[1] + 1e-6 and g[1] > 0.03]
+    between = [g for g in gaps["s6"] if MIDDLING_GAP[0] - 1e-6 <= g[0] and g[1] <= MIDDLING_GAP[1] + 1e-6]
+    assert len(walled) == len(between) == 1
+
+
 def test_all_four_corners_are_drawn() -> None:
     seen = set()
     for seed in range(40):
@@ -136,8 +146,36 @@ def test_dreams_begin_free_and_practice_between_trapped_and_free(seed: int, coun
         assert relative_pose(dream, block, THE_BOX)[0] < -0.05, "on the table, far outside of the box"
     practice = CORNERED.practice(np.random.default_rng(seed), seed).initial
     inside = [g for g in (relative_pose(practice, b, THE_BOX) for b in practice.of_type(BLOCK)) if g[0] > -0.01]
-    assert len(inside) == 1
-    assert 0.0005 - 1e-6 <= inside[0][0] <= 0.045 + 1e-6 and inside[0][1] <= 0.09 + 1e-6
+    covered = [a for a in GIVEN.true_atoms(practice) if a.predicate.name == "On"]
+    assert len(inside) + len(covered) == 1, "one thing at a time is in the way"
+    for gaps in inside:
+        assert 0.0005 - 1e-6 <= gaps[0] <= 0.045 + 1e-6 and gaps[1] <= 0.09 + 1e-6
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_a_covered_block_has_another_seated_on_it_and_stays_itself(seed: int) -> None:
+    task = CORNERED.dream(np.random.default_rng(seed), seed, 3)
+    state = cover(task, B2, B0, np.random.default_rng(seed)).initial
+    assert on(state, (B2, B0)) == 1.0
+    for obj in (B0, B1, THE_BOX, R):
+        np.testing.assert_array_equal(state[obj], task.initial[obj])
+
+
+def test_a_person_frees_what_is_tight_and_needed_and_builds_from_below() -> None:
+    def steps(name: str) -> list[str]:
+        task = sample(name, 3)
+        return [f"{skill}({', '.join(o.name for o in objects)})" for skill, objects in expert(task.initial, task.goal)]
+
+    assert steps("s1") == ["Recover(r, b0, box)", "Pick(r, b1)", "Insert(r, b1, b0)"]
+    assert steps("s2") == ["Recover(r, b1, box)", "Recover(r, b0, box)", "Pick(r, b0)", "Insert(r, b0, b1)"]
+    assert steps("s3") == [
+        "Recover(r, b0, box)",
+        *("Pick(r, b1)", "Insert(r, b1, b0)"),
+        *("Pick(r, b2)", "Insert(r, b2, b1)"),
+    ]
+    for name in ("s4", "s5"):
+        assert steps(name) == ["Pick(r, b1)", "Insert(r, b1, b0)"]
 
 
 @given(seeds)
