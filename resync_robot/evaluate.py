@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.evaluation_report import EpisodeRow, report, table
@@ -15,13 +15,17 @@ from resync_robot.evaluation_report import EpisodeRow, report, table
 if TYPE_CHECKING:
     from resync_robot.core.rig import Rig
     from resync_robot.core.skill import GroundSkill
+    from resync_robot.core.symbols import Atoms
     from resync_robot.core.task import Domain
-    from resync_robot.planning.execute import Model, Reaction
+    from resync_robot.core.world import World
+    from resync_robot.planning.abstract import Abstraction
+    from resync_robot.planning.execute import Listener, Result
     from resync_robot.planning.search import Plan
 
 _log = logging.getLogger(__name__)
 
-METHODS = ("resync", "rc", "initial")
+METHODS = ("resync", "rc", "initial", "human")
+"""This project's, Recovery Chaining, the given model alone, and the right sequence of skills given by a person."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +39,7 @@ class EvaluateConfig:
     """Library folders, one for each training seed. Default: the shipped one."""
 
     methods: tuple[str, ...] = ("resync",)
-    """Methods to compare, separated by spaces or commas: resync, initial, rc."""
+    """Methods to compare, separated by spaces or commas: resync, rc, initial, human (the right sequence given)."""
 
     scenarios: tuple[str, ...] = ("all",)
     """Scenarios, separated by spaces or commas: all, train, test, or names such as s0 s1."""
@@ -158,38 +162,48 @@ def _scenarios(given: Sequence[str], domain: Domain) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
+class _Method(Protocol):
+    def __call__(self, world: World, *, goal: Atoms, listener: Listener) -> Result: ...
+
+
 @dataclass(frozen=True)
 class _Context:
     domain: Domain
     rig: Rig
     perception: str
-    models: dict[tuple[int, str], tuple[Model, Reaction | None]]
+    given: Abstraction
+    methods: dict[tuple[int, str], _Method]
 
 
 def _context(domain_name: str, paths: tuple[str, ...], perception: str) -> _Context:
+    from resync_robot.baselines.human_sequence import run_human_sequence
     from resync_robot.baselines.recovery_chaining import RecoveryChaining
     from resync_robot.core.library import load_library
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import initial_model, learned_model, model_with_recovery
+    from resync_robot.planning.execute import plan_f
     from sim_training.domains import find_domain
 
     domain, rig = find_domain(domain_name), load_rig()
-    models: dict[tuple[int, str], tuple[Model, Reaction | None]] = {}
+    initial = initial_model(domain, rig)
+    methods: dict[tuple[int, str], _Method] = {}
     for i, path in enumerate(paths):
         library = load_library(Path(path))
         # First, for it says what a library lacks.
-        models[i, "resync"] = learned_model(domain, rig, library), None
+        methods[i, "resync"] = partial(plan_f, model=learned_model(domain, rig, library))
         record = library.skills[domain.recovery]
         with_skill = model_with_recovery(domain, rig, record)
-        models[i, "rc"] = with_skill, RecoveryChaining(with_skill.skill(domain.recovery), record)
-        models[i, "initial"] = initial_model(domain, rig), None
-    return _Context(domain, rig, perception, models)
+        reaction = RecoveryChaining(with_skill.skill(domain.recovery), record)
+        methods[i, "rc"] = partial(plan_f, model=with_skill, reaction=reaction)
+        methods[i, "initial"] = partial(plan_f, model=initial)
+        methods[i, "human"] = partial(run_human_sequence, model=with_skill, expert=domain.expert)
+    return _Context(domain, rig, perception, initial.abstraction, methods)
 
 
 def _run(context: _Context, job: Job) -> EpisodeRow:
     import time
 
-    from resync_robot.planning.execute import End, Listener, Result, plan_f
+    from resync_robot.planning.execute import End, Listener, Result
     from sim_training.domains import world_task
     from sim_training.mine import is_at_rest
     from sim_training.world import SimWorld
@@ -207,7 +221,7 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         def on_skill_start(self, skill: GroundSkill) -> None:
             self.skills.append(str(skill))
 
-    model, reaction = context.models[job.library, job.method]
+    method = context.methods[job.library, job.method]
     notes = Notes()
     begun = time.monotonic()
     # A scene that does not stand still is not a task; the next one takes its place.
@@ -217,7 +231,7 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         if is_at_rest(world):
             break
     if context.perception == "oracle":
-        result = plan_f(world, model, task.goal, listener=notes, reaction=reaction)
+        result = method(world, goal=task.goal, listener=notes)
         reached = result.success
     else:
         from resync_robot.backends import open_simulated
@@ -227,9 +241,9 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         with open_simulated(task, context.rig) as devices:
             seen = DeployedWorld(devices.robot, devices.cameras["wrist"], context.rig, task.objects, devices.truth)
             try:
-                result = plan_f(seen, model, task.goal, listener=notes, reaction=reaction)
+                result = method(seen, goal=task.goal, listener=notes)
                 # What the robot believes at the end does not count; what is true does.
-                reached = task.goal <= model.abstraction.true_atoms(devices.truth())
+                reached = task.goal <= context.given.true_atoms(devices.truth())
             except (PerceptionError, MotionError) as error:
                 result, reached = Result(End.FAULT, error.what, (), (), devices.truth()), False
     return EpisodeRow(

@@ -169,6 +169,18 @@ def test_episodes_are_run_counted_and_written(
     assert provenance["libraries"] == [row["library_hash"]] == [given_library().content_hash]
 
 
+def test_with_the_right_sequence_given_the_shipped_skills_reach_the_goal(tmp_path: Path) -> None:
+    file = tmp_path / "rows.json"
+    args = ["--methods", "human", "--scenarios", "s0,s1", "--episodes", "1", "--workers", "0", "--json", str(file)]
+    assert cli.main(["evaluate", *args]) == 0
+    written = json.loads(file.read_text())
+    assert [(e["scenario"], e["success"], e["skills_run"]) for e in written["episodes"]] == [
+        ("s0", True, ["Recover(r, b0, box)", "Pick(r, b0)", "Insert(r, b0, b1)"]),
+        ("s1", True, ["Recover(r, b0, box)", "Pick(r, b1)", "Insert(r, b1, b0)"]),
+    ]
+    assert {r["recoveries_per_episode"] for r in written["rows"]} == {1.0}
+
+
 def test_the_table_is_lost_before_the_file_is(library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def nobody_reads(text: str) -> None:
         raise BrokenPipeError

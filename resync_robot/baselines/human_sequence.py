@@ -1,0 +1,60 @@
+"""Human-sequenced skills, the paper's reference: a person gives the right skills in order, the robot runs them.
+
+The learned recovery is among the skills. Nothing is planned, and nothing is tried twice: what is left to fail is the
+skills themselves, and the poses that they are given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atoms, Object
+from resync_robot.core.trajectory import Transition
+from resync_robot.core.world import World
+from resync_robot.planning.abstract import HOLDS
+from resync_robot.planning.execute import End, Listener, Model, Result, run_skill
+
+Expert = Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
+"""(the state as first perceived, goal) -> (skill name, objects) in order; a domain's `expert`."""
+
+
+def run_human_sequence(
+    world: World, model: Model, goal: Atoms, expert: Expert, listener: Listener | None = None
+) -> Result:
+    """Run every skill of the expert's sequence once; look where Plan_f does, before the first and after each.
+
+    The sequence is that for the scene as it is first perceived. A skill that does not end done ends the episode. As
+    with Plan_f, the atoms seen at the end decide: the goal may hold although the last skill was cut short.
+
+    Args:
+        model: its skills are run, its abstraction judges the goal; its operators are not used.
+
+    Returns:
+        A result without plans: GOAL, or STUCK with the reason. A transition has succeeded where its skill was done.
+
+    Raises:
+        UnknownNameError: the sequence names a skill that the model does not have.
+    """
+    listener = listener or Listener()
+    transitions: list[Transition] = []
+    state, atoms = _look(world, model, listener)
+    reason = "the sequence ended short of the goal"
+    for name, objects in expert(state, goal):
+        ground, before = model.skill(name).ground(objects), state
+        outcome = run_skill(world, ground, listener)
+        state, atoms = _look(world, model, listener)
+        transitions.append(Transition(before, name, objects, state, outcome.done))
+        if not outcome.done:
+            reason = f"{ground} did not do what it should ({outcome.ending.value}: {outcome.reason})"
+            break
+    end, reason = (End.GOAL, "") if goal <= atoms else (End.STUCK, reason)
+    listener.on_end(end, reason)
+    return Result(end, reason, tuple(transitions), (), state)
+
+
+def _look(world: World, model: Model, listener: Listener) -> tuple[State, Atoms]:
+    state = world.perceive()
+    probabilities = model.abstraction.abstract(state)
+    listener.on_perceived(state, probabilities)
+    return state, frozenset(a for a, p in probabilities.items() if p > HOLDS)
