@@ -35,6 +35,9 @@ class RecoverySkillSettings:
     max_decisions: int = 150
     effort_limit: tuple[float, ...] = (40.0, 40.0, 40.0, 12.0, 12.0, 12.0)
     """N m; as in training. Without it the arm can press harder than the block stands."""
+    closed: float = 0.010
+    """m between the pads below which the hand counts as closed. The policy has only ever pressed with closed fingers;
+    what it would do with something between them nobody has tried."""
 
 
 def recovery_skill(name: str, record: Record, rig: Rig, settings: RecoverySkillSettings | None = None) -> Skill:
@@ -76,7 +79,10 @@ def _recover(
     yaw = float(spatial.wrap(spatial.yaw_of(first.state.get(box, "qw", "qx", "qy", "qz")), np.pi / 2))
     try:
         yield from hand.retreat(above, s.approach_speed)
-        yield from hand.open(0.0)
+        yield from hand.close(0.0)
+        if hand.last.opening > s.closed:
+            gap = 1000 * hand.last.opening
+            return Outcome(Ending.REFUSED, f"the pads stand {gap:.0f} mm apart: something is between them")
         yield from hand.move(x, y, above, yaw, s.travel_speed)
         start = min(above, z + height / 2 + 0.012 + s.approach_height)
         yield from hand.move(x, y, start, yaw, s.approach_speed)

@@ -17,7 +17,8 @@ RIG = load_rig()
 
 @dataclass
 class Follower:
-    """A `World`; with `stuck` the arm stays where it is, and `force` (3,) N is felt at the tip."""
+    """A `World`; with `stuck` the arm stays where it is, `force` (3,) N is felt at the tip, and the pads close no
+    further than `between`."""
 
     scene: State
     rig: Rig = RIG
@@ -25,6 +26,7 @@ class Follower:
     opening: float = RIG.gripper.max_opening
     force: np.ndarray = field(default_factory=lambda: np.zeros(3))
     stuck: bool = False
+    between: float = 0.0
     time: float = 0.0
     limits: list[tuple[float, ...] | None] = field(default_factory=list)
     tips: list[np.ndarray] = field(default_factory=list)
@@ -39,7 +41,7 @@ class Follower:
     def act(self, target: JointTarget, duration: float) -> None:
         self.time += duration
         if not self.stuck:
-            self.arm, self.opening = target.arm.copy(), target.opening
+            self.arm, self.opening = target.arm.copy(), max(target.opening, self.between)
         self.tips.append(self.rig.tip_pose(self.arm)[:3, 3])
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:

@@ -65,6 +65,14 @@ def test_without_beta_it_gives_up_after_its_decisions() -> None:
     assert world.tips[-1][2] >= travel_height(SCENE, None) - 1e-3
 
 
+def test_with_something_between_the_pads_it_refuses_and_stays_where_it_is() -> None:
+    world = Follower(SCENE, between=0.06)
+    begun = world.rig.tip_pose(world.arm)[:3, 3]
+    outcome = run_skill(world, skill_from("Recover", still, never, RIG, SETTINGS).ground((R, B0, THE_BOX)))
+    assert outcome.ending is Ending.REFUSED and "60 mm apart" in outcome.reason
+    np.testing.assert_allclose(world.tips, np.tile(begun, (len(world.tips), 1)), atol=1e-6)
+
+
 def test_a_decision_lasts_a_tenth_of_a_second_and_moves_at_most_a_step() -> None:
     decided: list[int] = []
 
