@@ -180,5 +180,6 @@ def tip_jacobian(rig: Rig, q: np.ndarray) -> np.ndarray:
     frames = rig.arm.world_T_base @ kinematics.link_frames(q)
     tip = (frames[-1] @ rig.gripper.flange_T_tip)[:3, 3]
     before = np.concatenate([rig.arm.world_T_base[None], frames[:-1]])
-    axes, origins = before[:, :3, 2], before[:, :3, 3]
-    return np.concatenate([np.cross(axes, tip - origins).T, axes.T])
+    (ax, ay, az), (x, y, z) = before[:, :3, 2].T, (tip - before[:, :3, 3]).T
+    # Written out: `np.cross` takes a tenth of a millisecond for six products.
+    return np.array([ay * z - az * y, az * x - ax * z, ax * y - ay * x, ax, ay, az], order="F")

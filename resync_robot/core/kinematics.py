@@ -18,6 +18,8 @@ from resync_robot.core.errors import MotionError
 D = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)
 A = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
 ALPHA = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
+TWIST = tuple((float(np.cos(a)), float(np.sin(a))) for a in ALPHA)
+"""Cosine and sine of each angle between neighbouring joint axes."""
 
 BRANCHES = tuple(product((+1, -1), (+1, -1), (+1, -1)))
 """(shoulder, wrist, elbow) signs of the eight solutions."""
@@ -67,14 +69,14 @@ def _forward_one(q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
 
 def link_frames(q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6 4 4"]:
     """Pose of each of the six DH frames in the base, for geometry checks and drawings."""
-    frames, pose = [], np.eye(4)
-    for i in range(6):
-        c, s, ca, sa = np.cos(q[i]), np.sin(q[i]), np.cos(ALPHA[i]), np.sin(ALPHA[i])
-        pose = pose @ np.array(
+    frames, pose = np.empty((6, 4, 4)), np.eye(4)
+    cos, sin = np.cos(q).tolist(), np.sin(q).tolist()
+    for i, (c, s, (ca, sa)) in enumerate(zip(cos, sin, TWIST, strict=True)):
+        link = np.array(
             [[c, -s * ca, s * sa, A[i] * c], [s, c * ca, -c * sa, A[i] * s], [0, sa, ca, D[i]], [0, 0, 0, 1.0]]
         )
-        frames.append(pose)
-    return np.stack(frames)
+        pose = np.matmul(pose, link, out=frames[i])
+    return frames
 
 
 def inverse_branch(base_T_flange: Any, branch: tuple[int, int, int], xp: Any = np) -> Any:

@@ -6,6 +6,7 @@ import hashlib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -40,9 +41,11 @@ class GripperRig:
     finger_thickness: float
     finger_width: float
 
-    @property
+    @cached_property
     def flange_T_tip(self) -> np.ndarray:
-        return spatial.transform(None, np.array([0.0, 0.0, self.tip_offset]))
+        pose = spatial.transform(None, np.array([0.0, 0.0, self.tip_offset]))
+        pose.flags.writeable = False
+        return pose
 
 
 @dataclass(frozen=True, kw_only=True)
