@@ -23,8 +23,6 @@ MAX_GRIPPER_SPEED = 0.25
 # Relative. A third difference over 2 ms of positions known to 1e-15 rad is off by 1e-6 rad/s^3.
 _ROUNDING = 1e-6
 
-_TWIST = [(float(np.cos(a)), float(np.sin(a))) for a in kinematics.ALPHA]
-
 
 class Guard:
     """Checks setpoints against the rig's limits and hands them to the robot.
@@ -139,10 +137,10 @@ class Guard:
     def _check_rates(self, setpoints: np.ndarray, openings: np.ndarray) -> None:
         difference = np.concatenate([self._past, setpoints])
         for order, (quantity, unit, limit) in enumerate(self._rates, start=1):
-            difference = np.diff(difference, axis=0) / SERVO_PERIOD
+            difference = (difference[1:] - difference[:-1]) / SERVO_PERIOD
             # The first rows of a lower order lie in the past and were checked then.
             self._compare(quantity, unit, difference[3 - order :], limit * (1 + _ROUNDING))
-        steps = np.abs(np.diff(openings, prepend=self._opening)) / SERVO_PERIOD
+        steps = np.abs(openings - np.concatenate([[self._opening], openings[:-1]])) / SERVO_PERIOD
         if steps.max(initial=0.0) > MAX_GRIPPER_SPEED * (1 + _ROUNDING):
             fastest = float(steps.max())
             raise SafetyError(
@@ -167,15 +165,19 @@ def heights(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Heights of flange and tip in the world, m; `base_up` is the third row of world_T_base.
 
-    Carries one row (the world's up axis, seen from each frame in turn) instead of whole matrices: a fifth of the
-    time of `kinematics.forward`, which counts at 500 Hz.
+    The closed form of `kinematics.forward`, with the world's up axis seen from the frame of joint 1, for that is all
+    a height needs: a fraction of the time of whole matrices, which counts at 500 Hz.
     """
-    cos, sin = np.cos(q.T), np.sin(q.T)
-    x, y, z = (np.asarray(v) for v in base_up[:3])
-    height = np.full(q.shape[0], float(base_up[3]))
-    for i in range(6):
-        ca, sa = _TWIST[i]
-        along, across = cos[i] * x + sin[i] * y, sin[i] * x - cos[i] * y
-        height = height + kinematics.A[i] * along + kinematics.D[i] * z
-        x, y, z = along, sa * z - ca * across, sa * across + ca * z
-    return height, height + tip_offset * z
+    angles = q[:, :5].T.copy()
+    angles[2] += angles[1]
+    angles[3] += angles[2]
+    (c1, c2, c23, c234, c5), (s1, s2, s23, s234, s5) = np.cos(angles), np.sin(angles)
+    a2, a3, (d1, _, _, d4, d5, d6) = kinematics.A[1], kinematics.A[2], kinematics.D
+    up_x, up_y, up_z, base = base_up.tolist()
+    up_along, up_across = up_x * c1 + up_y * s1, up_x * s1 - up_y * c1
+    # The flange's z axis and the middle of the wrist's last joint; across the arm they are c5 and d4.
+    axis_x, axis_y = -c234 * s5, -s234 * s5
+    x, y = a2 * c2 + a3 * c23 + d5 * s234, a2 * s2 + a3 * s23 - d5 * c234 + d1
+    lift = up_along * axis_x + up_z * axis_y + up_across * c5
+    height = base + up_along * x + up_z * y + up_across * d4 + d6 * lift
+    return height, height + tip_offset * lift
