@@ -234,6 +234,7 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         result = method(world, goal=task.goal, listener=notes)
         reached = result.success
     else:
+        from hardware.base import RobotError
         from resync_robot.backends import open_simulated
         from resync_robot.core.errors import MotionError, PerceptionError
         from resync_robot.deployed_world import DeployedWorld
@@ -244,7 +245,7 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
                 result = method(seen, goal=task.goal, listener=notes)
                 # What the robot believes at the end does not count; what is true does.
                 reached = task.goal <= context.given.true_atoms(devices.truth())
-            except (PerceptionError, MotionError) as error:
+            except (PerceptionError, MotionError, RobotError) as error:
                 result, reached = Result(End.FAULT, error.what, (), (), devices.truth()), False
     return EpisodeRow(
         **vars(job),

@@ -50,7 +50,7 @@ class RecoverySettings:
     gap_weight: float = 3.0
     horizon: int = 80
     lag: float = 0.9
-    """Most control steps that an arm may be behind its commands: streaming within jerk limits costs some 30 to 90 ms."""
+    """Most control steps that an arm may be behind its commands: streaming within jerk limits costs 30 to 90 ms."""
 
 
 def lagging(command: Tensor, before: Tensor, lag: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from resync_robot.core.rig import Rig, load_rig
+from resync_robot.core.rig import Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 
@@ -52,7 +52,7 @@ class RecoveryScenes:
             here, there = context.Pipe()
             process = context.Process(
                 target=_serve,
-                args=(there, self._memory.name, count, self._columns, part, list(tasks), block),
+                args=(there, self._memory.name, count, self._columns, part, list(tasks), block, rig),
                 daemon=True,
             )
             process.start()
@@ -195,9 +195,10 @@ def _serve(
     mine: np.ndarray,
     tasks: list[Task],
     block: Object,
+    rig: Rig,
 ) -> None:
     memory = SharedMemory(name=memory_name)
-    worker = _Worker(memory, count, columns, mine, tasks, block, load_rig())
+    worker = _Worker(memory, count, columns, mine, tasks, block, rig)
     connection.send("ready")
     while True:
         try:

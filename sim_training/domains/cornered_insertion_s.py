@@ -121,14 +121,15 @@ TIGHT = 0.032
 def expert(state: State, goal: Atoms) -> tuple[tuple[str, tuple[Object, ...]], ...]:
     """The skill sequence a person gives: free what is tight and is needed, then build from below."""
     robot, box = state.of_type(ROBOT)[0], state.of_type(BOX)[0]
-    pairs = [(a.args[0], a.args[1]) for a in goal if a.predicate == ON]
-    uppers = [upper for upper, _ in pairs]
-    ordered: list[tuple[Object, Object]] = []
-    while len(ordered) < len(pairs):
-        built = {upper for upper, _ in ordered}
-        ordered += sorted(
-            ((u, b) for u, b in pairs if (u, b) not in ordered and (b in built or b not in uppers)), key=str
-        )
+    beneath = {BLOCK(a.args[0].name): BLOCK(a.args[1].name) for a in goal if a.predicate == ON}
+
+    def level(block: Object) -> int:
+        found = 0
+        while block in beneath and found < len(beneath):
+            block, found = beneath[block], found + 1
+        return found
+
+    ordered = sorted(beneath.items(), key=lambda pair: (level(pair[0]), pair[0].name))
     # The base first: a block that was inserted on it stands in the way of nothing.
     needed = dict.fromkeys(o for upper, base in ordered for o in (base, upper))
     recovered = [b for b in needed if _is_tight(relative_pose(state, b, box))]
