@@ -6,7 +6,7 @@ import numpy as np
 
 from perception.catalogue import Catalogue
 from sim_training import parts
-from sim_training.domains.cornered_insertion_s import sample_block_sizes, sample_box
+from sim_training.domains.layouts import sample_block_sizes, sample_box
 from sim_training.randomise import BLOCK_HUES
 
 

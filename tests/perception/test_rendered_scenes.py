@@ -11,7 +11,8 @@ from resync_robot.core import spatial
 from resync_robot.core.errors import RenderError
 from resync_robot.core.rig import Rig
 from resync_robot.core.vocabulary import BLOCK
-from sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S, THE_BOX, R
+from sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
+from sim_training.domains.layouts import THE_BOX, R
 from sim_training.sensor import NoisySensor
 from sim_training.world import SimWorld
 

@@ -137,6 +137,17 @@ def test_a_policy_sees_finite_numbers_from_the_start() -> None:
         assert (env.x[:, :3] - env.commanded).norm(dim=-1).max() < 0.06
 
 
+def test_arms_are_late_by_what_each_episode_draws() -> None:
+    with RecoveryScenes(tasks(), B0, RIG, 4, 0) as scenes_:
+        env = RecoveryEnv(scenes_, RIG, RecoverySettings(lag=0.8), 0.98, 0, rebuild=0.0)
+        assert env.lag.min() >= 0 and env.lag.max() <= 0.8 and env.lag.unique().numel() == 4
+        env.lag[:] = torch.tensor([0.0, 0.0, 0.8, 0.8])
+        start = env.x[:, :3].clone()
+        env.step(torch.tensor([[0.0, 0.0, 1.0]] * 4))
+        risen = (env.x[:, :3] - start)[:, 2]
+        assert risen[2:].max() < 0.6 * risen[:2].min(), "a late arm has done less of the same command"
+
+
 @pytest.mark.slow
 def test_it_learns(tmp_path: Path) -> None:
     """A few minutes of one process are enough to see the return rise."""

@@ -19,6 +19,7 @@ from sim_training.recovery import (
     is_free,
     is_recovered,
     is_tipped,
+    lagging,
     potential,
     reward,
 )
@@ -147,3 +148,11 @@ def test_starts_depend_on_the_generator_alone() -> None:
     first, again, other = (draw_starts(x, torch.Generator().manual_seed(s)) for s in (3, 3, 4))
     assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
     assert not torch.equal(first[1], other[1])
+
+
+@given(st.floats(0, 1), st.lists(st.floats(-1, 1), min_size=6, max_size=6))
+def test_a_late_arm_is_that_share_of_the_last_ramp_behind(lag: float, ends: list[float]) -> None:
+    before, command = torch.tensor(ends).reshape(2, 1, 3)
+    sent = lagging(command, before, torch.tensor([lag]))
+    assert float((command - sent).norm()) == pytest.approx(lag * float((command - before).norm()), abs=1e-5)
+    assert float((sent - before).norm()) == pytest.approx((1 - lag) * float((command - before).norm()), abs=1e-5)
