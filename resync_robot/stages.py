@@ -30,7 +30,7 @@ from sim_training.dream import DreamSpec, dream, dream_specs, useful
 from sim_training.mine import Attempt, attempt_task, is_at_rest, resample_failure
 from sim_training.parallel import parallel_map
 from sim_training.ppo import PpoSettings, RecoveryEnv, scaled_to_device, train_recovery
-from sim_training.recovery import RecoverySettings, is_recovered
+from sim_training.recovery import RecoverySettings, draw_still, is_recovered
 from sim_training.vector_env import RecoveryScenes
 from sim_training.world import SimWorld
 
@@ -254,6 +254,10 @@ def _roll_out(
         for _ in range(3):
             env.reset(np.arange(scenes.count))
             begun.append(view.observe(env.x))
+            for _ in range(20):
+                still = draw_still(env.x, env.random)
+                seen.append(view.observe(still))
+                labels.append(is_recovered(still, still, s))
             reached = torch.zeros(scenes.count, dtype=torch.bool)
             for _ in range(s.horizon):
                 with torch.no_grad():

@@ -48,6 +48,8 @@ class RecoverySettings:
     step_cost: float = 0.01
     tipping_cost: float = 1.0
     gap_weight: float = 3.0
+    excess_weight: float = 0.5
+    """Further than needed is where other blocks may stand."""
     horizon: int = 80
     lag: float = 0.9
     """Most control steps that an arm may be behind its commands: streaming within jerk limits costs 30 to 90 ms."""
@@ -78,13 +80,14 @@ def is_tipped(x: Tensor, s: RecoverySettings) -> Tensor:
 
 
 def potential(x: Tensor, s: RecoverySettings) -> Tensor:
-    """(n,) shaping: room to the walls, then the hand on the stud while there is none, away from it once there is."""
-    deficit = ((s.gap + 0.003 - wall_gaps(x)) / s.gap).clamp(0, 1.2).mean(-1)
+    """(n,) shaping: room to the walls but not too much, the hand on the stud until there is room, then away from it."""
+    short = (s.gap + 0.003 - wall_gaps(x)) / s.gap
+    missing = s.gap_weight * short.clamp(0, 1.2).mean(-1) + s.excess_weight * (-short - 0.3).clamp(0, 1).mean(-1)
     on_stud = x[:, BLOCK][:, :3].clone()
     on_stud[:, 2] += x[:, BLOCK][:, 9] / 2 + STUD
     distance = (x[:, TIP] - on_stud).norm(dim=-1)
     away = (tip_above_stud(x) / s.lift).clamp(0, 1)
-    return -s.gap_weight * deficit + torch.where(is_free(x, s), 0.2 + away, -torch.tanh(5 * distance))
+    return -missing + torch.where(is_free(x, s), 0.2 + away, -torch.tanh(5 * distance))
 
 
 def reward(x: Tensor, previous: Tensor, gamma: float, s: RecoverySettings) -> tuple[Tensor, Tensor, Tensor]:
@@ -123,6 +126,27 @@ def draw_starts(x: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
     planar = block + spread * (2 * uniform(n, 2) - 1)
     above = torch.where(kind < 0.30, 0.05 + 0.03 * uniform(n), 0.001 + 0.03 * uniform(n))
     return block, torch.cat([planar, (top + above)[:, None]], -1)
+
+
+def draw_still(x: Tensor, random: torch.Generator) -> Tensor:
+    """(n, 27) the states `x` with the block anywhere from its corner to the middle, and a hand at rest over it.
+
+    A policy's own path hardly shows these: a block that is nearly free, and nobody touches it. Yet a deployed skill
+    may begin there, and its terminal function must say whether anything is left to do.
+    """
+    n, still = len(x), x.clone()
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=random, device=x.device)
+
+    along_x, along_y = box_axes(x)
+    from_centre = x[:, BLOCK][:, :2] - x[:, BOX][:, :2]
+    local = torch.stack([(from_centre * along_x).sum(-1), (from_centre * along_y).sum(-1)], -1) * uniform(n, 2)
+    still[:, BLOCK.start : BLOCK.start + 2] = x[:, BOX][:, :2] + local[:, :1] * along_x + local[:, 1:] * along_y
+    top = x[:, BLOCK][:, 2] + x[:, BLOCK][:, 9] / 2 + STUD
+    planar = still[:, BLOCK][:, :2] + 0.03 * (2 * uniform(n, 2) - 1)
+    still[:, TIP] = still[:, COMMANDED] = torch.cat([planar, (top + 0.10 * uniform(n))[:, None]], -1)
+    return still
 
 
 class FailedWorlds:

@@ -69,6 +69,10 @@ def perturb(
     return noisy
 
 
+OUTSIDE = -0.05
+"""What stands for the distances to the walls of a box, m, where something is not in it."""
+
+
 def in_box(box: Rows, pose: Rows) -> tuple[np.ndarray, np.ndarray]:
     """Position (n, 3) and heading (n,) of `pose` (x y z qw qx qy qz ...) in the frame of the box."""
     world_R_box = matrix_from_quat(box[:, 3:7])
@@ -83,6 +87,8 @@ def _block_box(_: Type, block: Rows, __: Type, box: Rows) -> Rows:
     # From the centre of the block to the wall on its side, the nearer wall first.
     to_wall = half - np.abs(position[:, :2])
     order = np.argsort(to_wall, axis=1, kind="stable")
+    # Outside is outside: walls do not hinder there, and how far along them it is tells nothing.
+    to_wall[to_wall.min(1) < 0] = OUTSIDE
     # A mirror turns both the heading and the bearing round, so the product of the two sines does not see it.
     bearing = np.arctan2(position[:, 1], position[:, 0])
     return np.concatenate(

@@ -40,8 +40,8 @@ def sample_block_sizes(rng: np.random.Generator, names: Sequence[str]) -> dict[s
     width = rng.uniform(0.046, 0.070)
     sizes = {}
     for name in names:
-        # Moulded blocks agree to a few hundredths of a millimetre.
-        side = width + rng.uniform(-0.00005, 0.00005)
+        # Moulded building blocks agree to a hundredth of a millimetre. Rubber pads would bear more; rigid ones do not.
+        side = width + rng.uniform(-0.00001, 0.00001)
         sizes[name] = np.array([side, side, rng.uniform(0.040, 0.050)])
     return sizes
 

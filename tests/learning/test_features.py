@@ -100,3 +100,11 @@ def test_noise_has_the_size_of_perception_and_spares_the_robot() -> None:
     np.testing.assert_array_equal(noisy[:, 7:], many[:, 7:])
     np.testing.assert_array_equal(perturb(ROBOT, robot(), np.random.default_rng(0)), robot())
     np.testing.assert_array_equal(noisy, perturb(BLOCK, many, np.random.default_rng(0)))
+
+
+@given(x=st.floats(-0.5, 0.5), y=st.floats(0.2, 0.5), other=st.floats(-0.5, 0.5))
+def test_outside_of_a_box_its_walls_look_the_same_from_everywhere(x: float, y: float, other: float) -> None:
+    seen = [relative_features((BLOCK, BOX), (block(at, y, 0.0), box())) for at in (x, other)]
+    np.testing.assert_allclose(seen[0][:, :2], seen[1][:, :2])
+    inside = relative_features((BLOCK, BOX), (block(0.0, 0.0, 0.0), box()))
+    assert not np.allclose(seen[0][:, :2], inside[:, :2])

@@ -16,6 +16,7 @@ from resync_robot.learning.recovery_policy import BLOCK, BOX, COMMANDED, STUD, T
 from sim_training.recovery import (
     RecoverySettings,
     draw_starts,
+    draw_still,
     is_free,
     is_recovered,
     is_tipped,
@@ -141,6 +142,19 @@ def test_starts_are_near_contact_near_the_goal_and_at_the_failure() -> None:
     # Still in the corner that it failed in.
     centre = x[:, BOX][:, :2]
     assert ((block - centre) * (x[:, BLOCK][:, :2] - centre) > 0).all(-1).float().mean() > 0.99
+
+
+def test_still_states_lie_between_the_corner_and_the_middle_with_the_hand_over_the_block() -> None:
+    x = failures(2000)
+    still = draw_still(x, torch.Generator().manual_seed(0))
+    gaps = wall_gaps(still).min(-1).values
+    assert gaps.min() >= 0 and 0.2 < (gaps > S.gap).float().mean() < 0.8, "some are free, some are not"
+    assert 0 <= tip_above_stud(still).min() and 0.08 < tip_above_stud(still).max() <= 0.1 + 1e-6
+    assert torch.equal(still[:, TIP], still[:, COMMANDED])
+    assert (still[:, TIP][:, :2] - still[:, BLOCK][:, :2]).abs().max() <= 0.03 + 1e-6
+    assert torch.equal(still[:, BOX], x[:, BOX])
+    expected = (gaps > S.gap) & (tip_above_stud(still) > S.lift)
+    assert torch.equal(is_recovered(still, still, S), expected)
 
 
 def test_starts_depend_on_the_generator_alone() -> None:
