@@ -149,7 +149,7 @@ def test_still_states_lie_between_the_corner_and_the_middle_with_the_hand_over_t
     still = draw_still(x, torch.Generator().manual_seed(0))
     gaps = wall_gaps(still).min(-1).values
     assert gaps.min() >= 0 and 0.2 < (gaps > S.gap).float().mean() < 0.8, "some are free, some are not"
-    assert 0 <= tip_above_stud(still).min() and 0.08 < tip_above_stud(still).max() <= 0.1 + 1e-6
+    assert tip_above_stud(still).min() >= 0 and 0.08 < tip_above_stud(still).max() <= 0.1 + 1e-6
     assert torch.equal(still[:, TIP], still[:, COMMANDED])
     assert (still[:, TIP][:, :2] - still[:, BLOCK][:, :2]).abs().max() <= 0.03 + 1e-6
     assert torch.equal(still[:, BOX], x[:, BOX])
