@@ -51,14 +51,17 @@ def learned_model(domain: Domain, rig: Rig, library: Library) -> Model:
     known = {p.name: domain.classifiers[p.name] for p in domain.predicates}
     types = {t.name: t for t in domain.types}
     predicates, classifiers, operators = load_concepts(library.domain_pddl, library.predicates, types, known)
-    affordances = {
-        skill: Affordance(str(entry["predicate"]), int(entry["argument"]))
-        for skill, entry in library.execution.get("affordances", {}).items()
-    }
     skills = dict(model_with_recovery(domain, rig, library.skills[domain.recovery]).skills)
-    for variant, base in library.execution.get("variants", {}).items():
-        operator = next(o for o in operators if o.name == variant)
-        skills[variant] = _variant(variant, skills[base], tuple(v.type for v in operator.parameters))
+    try:
+        affordances = {
+            skill: Affordance(str(entry["predicate"]), int(entry["argument"]))
+            for skill, entry in library.execution.get("affordances", {}).items()
+        }
+        for variant, base in library.execution.get("variants", {}).items():
+            operator = next(o for o in operators if o.name == variant)
+            skills[variant] = _variant(variant, skills[base], tuple(v.type for v in operator.parameters))
+    except (AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
+        raise LibraryError(f"execution.json does not fit domain.pddl: {error!r}", RETRAIN) from error
     return Model(skills, Abstraction(predicates, classifiers), operators, affordances)
 
 

@@ -75,3 +75,17 @@ def test_a_recovery_record_that_lacks_a_part_is_refused(part: str) -> None:
     for broken in (without_meta, without_weights):
         with pytest.raises(LibraryError):
             model_with_recovery(CORNERED, RIG, broken)
+
+
+@pytest.mark.parametrize(
+    "execution",
+    [
+        {"affordances": {"Pick": {"argument": 1}}},
+        {"affordances": ["Pick"]},
+        {"affordances": {"Pick": {"predicate": "HandEmpty", "argument": "first"}}},
+        {"variants": {"Pick_Recover": "Pick"}},
+    ],
+)
+def test_execution_that_does_not_fit_the_domain_is_refused(execution: dict[str, object]) -> None:
+    with pytest.raises(LibraryError, match="execution.json does not fit"):
+        learned_model(CORNERED, RIG, replace(given_library(), execution=execution))
