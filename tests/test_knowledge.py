@@ -87,5 +87,5 @@ def test_a_recovery_record_that_lacks_a_part_is_refused(part: str) -> None:
     ],
 )
 def test_execution_that_does_not_fit_the_domain_is_refused(execution: dict[str, object]) -> None:
-    with pytest.raises(LibraryError, match="execution.json does not fit"):
+    with pytest.raises(LibraryError, match=r"execution\.json does not fit"):
         learned_model(CORNERED, RIG, replace(given_library(), execution=execution))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -76,7 +77,8 @@ def main() -> None:
         print(json.dumps(row))
     for mode in args.formulations:
         mine = [bool(r["right"]) for r in rows if r["formulation"] == mode]
-        print(f"{mode}: right in {sum(mine)} of {len(mine)}")
+        models = Counter(tuple(sorted(map(str, r["changes"]))) for r in rows if r["formulation"] == mode)  # type: ignore[call-overload]
+        print(f"{mode}: right in {sum(mine)} of {len(mine)}; the commonest model in {max(models.values())}")
 
 
 def _keep(out: Path) -> Path:
