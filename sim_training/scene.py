@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import as_file, files
+from tempfile import NamedTemporaryFile
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import sapien
@@ -126,14 +128,26 @@ def urdf_path() -> str:
         return str(path)
 
 
+@cache
+def _bodies_only() -> str:
+    """The robot's description without its looks: reading those asks for a render device, which physics needs not."""
+    tree = ElementTree.parse(urdf_path())
+    for link in tree.getroot().iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    return ElementTree.tostring(tree.getroot(), encoding="unicode")
+
+
 def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendered: bool) -> physx.PhysxArticulation:
     loader = scene.create_urdf_loader()
     loader.fix_root_link = True
-    builders = loader.parse(urdf_path())[0]
-    builder = builders[0]
-    for link in builder.link_builders:
-        if not rendered:
-            link.visual_records = []
+    if rendered:
+        builder = loader.parse(urdf_path())[0][0]
+    else:
+        with NamedTemporaryFile("w", suffix=".urdf") as file:
+            file.write(_bodies_only())
+            file.flush()
+            builder = loader.parse(file.name)[0][0]
     builder.initial_pose = sapien.Pose(rig.arm.world_T_base)
     robot = builder.build(fix_root_link=True)
     pad, steel = _material(physics["friction_pad"]), _material(0.3)

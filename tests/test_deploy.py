@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -114,6 +117,23 @@ def test_a_dry_run_looks_plans_records_and_moves_no_skill(
     assert episode.meta.scenario == "s1" and episode.meta.goal == "On(b1, b0)"
     assert episode.meta.library_hash == given_library().content_hash
     assert next(episode.plans()).steps == ("Pick(r, b1)", "Insert(r, b1, b0)")
+
+
+def test_without_a_vulkan_device_physics_goes_on_and_pictures_are_one_error(
+    library: Path, tmp_path: Path
+) -> None:
+    blind = os.environ | {"VK_DRIVER_FILES": os.devnull, "VK_ICD_FILENAMES": os.devnull}
+
+    def run(*args: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "resync_robot", *args, "--library", str(library)]
+        return subprocess.run(command, env=blind, capture_output=True, text=True, check=False)
+
+    deployed = run("deploy", "--out", str(tmp_path / "run"))
+    assert deployed.returncode == 2
+    assert deployed.stderr.startswith("error: no Vulkan device can render")
+    assert "install_vulkan.sh" in deployed.stderr and "Traceback" not in deployed.stderr
+    evaluated = run("evaluate", "--scenarios", "s4", "--methods", "initial", "--episodes", "1", "--workers", "1")
+    assert evaluated.returncode == 0, evaluated.stderr
 
 
 @pytest.mark.slow

@@ -29,7 +29,8 @@ from safetensors.numpy import save as save_tensors
 
 from resync_robot.core.errors import LibraryError
 
-VERSION = 1
+VERSION = 2
+"""2: a classifier sees all of the outside of a box as one."""
 RETRAIN = "train a new one: resync-robot train-sim --domain cornered-insertion-s"
 
 

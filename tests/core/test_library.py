@@ -114,7 +114,7 @@ def alter_manifest(folder: Path, **values: object) -> None:
 
 def test_another_version_is_refused(folder: Path) -> None:
     alter_manifest(folder, version=99)
-    refused(folder, "version 99", "reads version 1")
+    refused(folder, "version 99", "reads version 2")
 
 
 @pytest.mark.parametrize("name", ["../secret", "predicates/../../secret", "/etc/hostname"])
