@@ -119,9 +119,7 @@ def test_a_dry_run_looks_plans_records_and_moves_no_skill(
     assert next(episode.plans()).steps == ("Pick(r, b1)", "Insert(r, b1, b0)")
 
 
-def test_without_a_vulkan_device_physics_goes_on_and_pictures_are_one_error(
-    library: Path, tmp_path: Path
-) -> None:
+def test_without_a_vulkan_device_physics_goes_on_and_pictures_are_one_error(library: Path, tmp_path: Path) -> None:
     blind = os.environ | {"VK_DRIVER_FILES": os.devnull, "VK_ICD_FILENAMES": os.devnull}
 
     def run(*args: str) -> subprocess.CompletedProcess[str]:
