@@ -50,7 +50,7 @@ class Preset:
     proxy_checks: int = 24
     """Fresh worlds in which the recovery is followed by the real failed skill."""
     dreams: int = 150
-    attempts: int = 280
+    attempts: int = 600
 
 
 PRESETS = {
@@ -67,7 +67,7 @@ PRESETS = {
         ppo=PpoSettings(total_steps=2_000_000, least_steps=1_000_000, stop_at=0.999),
         proxy_checks=200,
         dreams=600,
-        attempts=600,
+        attempts=2000,
     ),
 }
 

@@ -22,7 +22,7 @@ from resync_robot.learning.classifiers import NeuralClassifier
 from resync_robot.learning.dataset import Dataset, Step, merged_dataset, variant_dataset
 from resync_robot.learning.effects import Candidate, affordances, candidates, supervise
 from resync_robot.learning.features import gather
-from resync_robot.learning.fit import PAPER, SCREENING, Fit, FitConfig, fit
+from resync_robot.learning.fit import COMPACT, PAPER, SCREENING, Fit, FitConfig, fit
 from resync_robot.learning.model import Concepts, GivenModel, assemble, quantifications
 from resync_robot.learning.operators import OperatorConfig, evidence, explained_failures
 from resync_robot.learning.select import PAPER_J, Concept, SelectConfig, Selector, select
@@ -45,7 +45,7 @@ class ConceptConfig:
     """
 
     mode: Mode = "default"
-    fit: FitConfig = PAPER
+    fit: FitConfig = COMPACT
     screening: FitConfig = SCREENING
     max_loss: float = 0.05
     min_accuracy: float = 0.85
@@ -60,7 +60,7 @@ class ConceptConfig:
         if mode == "default":
             return ConceptConfig()
         if mode == "paper":
-            return ConceptConfig(mode="paper", operators=OperatorConfig(use_failures=False), select=PAPER_J)
+            return ConceptConfig(mode="paper", fit=PAPER, operators=OperatorConfig(use_failures=False), select=PAPER_J)
         raise UnknownNameError("formulation of concept learning", mode, ["default", "paper"])
 
 

@@ -70,7 +70,7 @@ def perturb(
 
 
 OUTSIDE = -0.05
-"""What stands for the distances to the walls of a box, m, where something is not in it."""
+"""What stands for the gaps to the walls of a box, m, where something is not in it."""
 
 
 def in_box(box: Rows, pose: Rows) -> tuple[np.ndarray, np.ndarray]:
@@ -84,16 +84,17 @@ def in_box(box: Rows, pose: Rows) -> tuple[np.ndarray, np.ndarray]:
 def _block_box(_: Type, block: Rows, __: Type, box: Rows) -> Rows:
     position, heading = in_box(box, block)
     half = box[:, 7:9] / 2
-    # From the centre of the block to the wall on its side, the nearer wall first.
     to_wall = half - np.abs(position[:, :2])
-    order = np.argsort(to_wall, axis=1, kind="stable")
+    # What hinders is the room between surfaces, whatever the size of block and box; the nearer wall first.
+    gaps = to_wall - block[:, 7:8] / 2 * (np.abs(np.cos(heading)) + np.abs(np.sin(heading)))[:, None]
+    order = np.argsort(gaps, axis=1, kind="stable")
     # Outside is outside: walls do not hinder there, and how far along them it is tells nothing.
-    to_wall[to_wall.min(1) < 0] = OUTSIDE
+    gaps[to_wall.min(1) < 0] = OUTSIDE
     # A mirror turns both the heading and the bearing round, so the product of the two sines does not see it.
     bearing = np.arctan2(position[:, 1], position[:, 0])
     return np.concatenate(
         [
-            np.take_along_axis(to_wall, order, 1),
+            np.take_along_axis(gaps, order, 1),
             np.take_along_axis(half, order, 1),
             position[:, 2:3],
             np.cos(4 * heading)[:, None],

@@ -78,7 +78,7 @@ def dream_task(rng: np.random.Generator, seed: int, blocks: int) -> Task:
     return sample_task(rng, seed, frozenset({ON(BLOCK("b0"), BLOCK("b1"))}), Layout(free=names, in_box=0.0))
 
 
-COVERED = 0.25
+COVERED = 0.2
 """Share of practice with a third block on the one that matters."""
 
 
@@ -91,7 +91,7 @@ def practice_task(rng: np.random.Generator, seed: int) -> Task:
     if rng.random() < COVERED:
         return cover(dream_task(rng, seed, 3), BLOCK("b2"), matters, rng)
     task = dream_task(rng, seed, 2)
-    if rng.random() < 0.3:
+    if rng.random() < 0.35:
         gaps = rng.uniform(0.0005, 0.006), rng.uniform(0.0005, 0.006)
     else:
         # Two thirds near both walls, where skills begin to fail; the rest along one wall.

@@ -74,11 +74,6 @@ def test_an_oblong_box_knows_its_long_side(x: float, y: float, yaw: float) -> No
     np.testing.assert_allclose(oblong, turned_box, atol=1e-9)
 
 
-def test_distances_to_the_walls_are_seen() -> None:
-    near, far = (relative_features((BLOCK, BOX), (block(x, 0.0, 0.0), box()))[0] for x in (0.12, 0.0))
-    assert near[0] == pytest.approx(0.03) and far[0] == pytest.approx(0.15)
-
-
 def test_unary_nullary_triple_and_unknown_types() -> None:
     lid = Type("lid", (*POSE, "open"))
     lids = np.array([[0.0, 0, 0, 1, 0, 0, 0, 0.5], [0.1, 0, 0, 1, 0, 0, 0, 0.7]])
@@ -108,3 +103,13 @@ def test_outside_of_a_box_its_walls_look_the_same_from_everywhere(x: float, y: f
     np.testing.assert_allclose(seen[0][:, :2], seen[1][:, :2])
     inside = relative_features((BLOCK, BOX), (block(0.0, 0.0, 0.0), box()))
     assert not np.allclose(seen[0][:, :2], inside[:, :2])
+
+
+@given(gap=st.floats(0.0, 0.05), size=st.floats(0.045, 0.07), inner=st.floats(0.26, 0.34), yaw=angles)
+def test_the_gap_to_a_wall_is_seen_whatever_the_sizes_and_headings(
+    gap: float, size: float, inner: float, yaw: float
+) -> None:
+    half = size / 2 * (abs(np.cos(yaw)) + abs(np.sin(yaw)))
+    at = block(inner / 2 - half - gap, 0.0, yaw)
+    at[0, 7:9] = size
+    assert relative_features((BLOCK, BOX), (at, box(inner, 0.5)))[0, 0] == pytest.approx(gap, abs=1e-9)
