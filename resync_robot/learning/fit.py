@@ -59,8 +59,8 @@ PAPER = FitConfig()
 """The network of the paper."""
 
 COMPACT = FitConfig(widths=(32, 32), learning_rate=3e-3)
-"""For the few hundred labels that attempts give. The paper's network remembers them, and takes 3 % of the corners that it
-has not seen for room enough; this one 0.05 % (720 worlds, three seeds)."""
+"""For the few hundred labels that attempts give. The paper's network remembers them, and takes 3 % of unseen corners
+for room enough; this one 0.05 % (720 worlds, three seeds)."""
 
 SCREENING = FitConfig(
     widths=(64, 64), epochs=12, min_steps_per_epoch=8, learning_rate=3e-3, pairs_per_epoch=512, labels_per_epoch=1024
