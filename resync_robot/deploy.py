@@ -71,7 +71,7 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.planning.execute import End
     from resync_robot.planning.search import plan
     from resync_robot.progress import say
-    from resync_robot.run_folder import RunFolder, default_folder
+    from resync_robot.run_folder import check_folder, default_folder
     from sim_training.domains import find_domain
 
     if config.backend != "sim":
@@ -89,7 +89,8 @@ def deploy(config: DeployConfig) -> int:
         for task in tasks:
             # A goal out of reach is a mistake of whoever typed it: said at once, before anything moves.
             plan(model.operators, task.objects, model.abstraction.true_atoms(task.initial), task.goal)
-    folder = RunFolder(config.out or default_folder("deploy"))
+    folder = config.out or default_folder("deploy")
+    check_folder(folder)
     if library.rig_hash != rig.hash:
         say(f"Note: the library was learned on another rig ({library.rig_hash}, this one is {rig.hash}).")
     say(
@@ -103,7 +104,7 @@ def deploy(config: DeployConfig) -> int:
     )
     succeeded = 0
     for i, task in enumerate(tasks):
-        path = folder.path / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
+        path = folder / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
         result, reached = _episode(config, rig, library, model, task, path)
         if result.end is End.NO_PLAN and not result.transitions:
             raise PlanningError(result.reason, 'give another --goal, such as --goal "On(b1,b0)"')

@@ -20,13 +20,7 @@ class RunFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.stages = path / "stages"
-        try:
-            self.stages.mkdir(parents=True, exist_ok=True)
-            probe = path / ".writable"
-            probe.touch()
-            probe.unlink()
-        except OSError as error:
-            raise ConfigError(f"cannot write to {path}: {error.strerror}", "give another folder with --out") from None
+        check_folder(self.stages, of=path)
 
     @property
     def library(self) -> Path:
@@ -81,6 +75,17 @@ def write_json(path: Path, data: Any) -> None:
     beside = path.with_name(path.name + ".part")
     beside.write_text(json.dumps(data, indent=2, sort_keys=True) + "\n")
     beside.replace(path)
+
+
+def check_folder(path: Path, of: Path | None = None) -> None:
+    """Make the folder `path`, a part of `of`, and be sure that files can be written to it. Raises ConfigError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise ConfigError(f"cannot write to {of or path}: {error.strerror}", "give another folder with --out") from None
 
 
 def check_writable(path: Path) -> None:
