@@ -57,11 +57,13 @@ class Sighting:
 
     Attributes:
         cam_T_board: (4, 4) from this picture alone.
+        depth: of the board's centre, m.
         blur_px, square_px, misfit_px: see `Gate`.
     """
 
     corners: Corners
     cam_T_board: Float[np.ndarray, "4 4"]
+    depth: float
     blur_px: float
     square_px: float
     misfit_px: float
@@ -100,10 +102,10 @@ class BoardDetector:
                 f"the corners lie {misfit:.1f} px from those of any flat board, {gate.most_misfit_px} is allowed: "
                 "wrong marker numbers, a bent board, or one of another layout"
             )
-        side = self._square_px(pose)
+        side, depth = self._square_px(pose), float(spatial.apply(pose, self._spec.centre[None])[0, 2])
         if side < gate.least_square_px:
             return Rejected(
-                f"too far away ({pose[2, 3]:.2f} m): a square spans {side:.1f} px, {gate.least_square_px:g} are needed"
+                f"too far away ({depth:.2f} m): a square spans {side:.1f} px, {gate.least_square_px:g} are needed"
             )
         blur = self._blur(grey, pose)
         if blur > gate.most_blur_px:
@@ -111,7 +113,7 @@ class BoardDetector:
                 f"blurred: the step from black to white takes {blur:.1f} px, {gate.most_blur_px:g} are allowed: "
                 "let the arm stand still, focus, give more light"
             )
-        return Sighting(corners, pose, blur, side, misfit)
+        return Sighting(corners, pose, depth, blur, side, misfit)
 
     def find(self, grey: UInt8[np.ndarray, "h w"]) -> tuple[Corners | None, int]:
         """The corners, None where there are fewer than four; and how many markers of the dictionary were seen."""
@@ -128,9 +130,8 @@ class BoardDetector:
     def _why_no_board(self, grey: np.ndarray, markers: int) -> str:
         if markers:
             return (
-                f"{markers} markers of {self._spec.dictionary} are in sight but they do not form this board of "
-                f"{self._spec.columns} x {self._spec.rows} squares: give the printed board's --board.columns and "
-                "--board.rows, or move nearer"
+                f"{markers} markers of {self._spec.dictionary} are in sight but too few corners between them: "
+                "show more of the board, move nearer, or give the printed board's --board.columns and --board.rows"
             )
         return (
             f"no board of {self._spec.dictionary} in the picture (mean brightness {grey.mean():.0f} of 255): "

@@ -85,7 +85,9 @@ def compare_outline(colour: UInt8[np.ndarray, "h w 3"], robot: Bool[np.ndarray, 
     Chamfer matching (Barrow 1977): the shift at which the outline lies nearest to edges, by truncated distance.
     """
     mask = robot.astype(np.uint8)
-    border = (mask - cv2.erode(mask, np.ones((3, 3), np.uint8))).astype(bool)
+    # Both sides of the outline: the edge in the picture lies between them.
+    cross = np.ones((3, 3), np.uint8)
+    border = (cv2.dilate(mask, cross) - cv2.erode(mask, cross)).astype(bool)
     # Where the picture ends the robot's mask does too, and no edge of the scene is there.
     border[:2], border[-2:], border[:, :2], border[:, -2:] = False, False, False, False
     rows, columns = np.nonzero(border)

@@ -18,7 +18,7 @@ from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import CameraRig, Rig
 
-CANDIDATES = 4000
+CANDIDATES = 1200
 PATH_STEP = 0.1
 """rad between the points at which a way is checked."""
 TILT_WEIGHT = 0.4

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -85,6 +87,26 @@ def take(
         colour, here = capture(), np.array(measured(), dtype=np.float64)
         name = f"{prefix}-{i:03d}.png"
         yield Shot(name, colour, here, judge(name, colour))
+
+
+def usable(shots: Sequence[Shot], least: int) -> list[tuple[Shot, Sighting]]:
+    """The shots that show the board well enough.
+
+    Raises:
+        CalibrationError: fewer than `least`; says why most of the others were refused.
+    """
+    good = [(s, s.verdict) for s in shots if isinstance(s.verdict, Sighting)]
+    if len(good) < least:
+        reasons = [s.verdict.reason for s in shots if isinstance(s.verdict, Rejected)]
+        # The words before the first figure tell kinds of reasons apart.
+        kinds = Counter(re.split(r"[:(\d]", reason)[0] for reason in reasons)
+        why = next((r for r in reasons if kinds and r.startswith(kinds.most_common(1)[0][0])), "")
+        raise CalibrationError(
+            f"{len(good)} usable pictures of the board of {len(shots)}, at least {least} are needed"
+            + (f"; most often: {why}" if why else ""),
+            "mend that and take them anew, or ask for more --poses",
+        )
+    return good
 
 
 class ShotFolder:

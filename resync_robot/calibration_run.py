@@ -3,57 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
 
 import numpy as np
 
-from calibration.board import BoardSpec
 from calibration.detect import BoardDetector, Rejected, Sighting
 from calibration.hand_eye import Calibrator, HandEye, Noise, View, difference
-from calibration.intrinsics import check_intrinsics
+from calibration.intrinsics import LEAST_VIEWS, check_intrinsics
 from calibration.judge import Errors, board_by, held_out, judge
 from calibration.overlay import compare_outline, draw_corners, draw_scene, save_picture
 from calibration.propose import Proposer, Reach, board_in_hand, board_on_table
 from calibration.rig_file import update_rig
-from calibration.shots import Judge, Shot, ShotFolder, read_shots, take
-from hardware.base import Camera, Robot
-from hardware.sim import SimCamera, SimRobot
+from calibration.shots import Judge, Shot, ShotFolder, read_shots, take, usable
 from hardware.stream import Stream
 from hardware.travel import travel
-from resync_robot.backends import NoisyCamera
+from resync_robot.calibration_machine import open_simulated, standing, with_board
 from resync_robot.calibration_settings import CheckConfig, HandEyeConfig, IntrinsicsConfig, LookConfig
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import kinematics
 from resync_robot.core.calibration_record import CalibrationRecord, complaints
 from resync_robot.core.errors import CalibrationError, ConfigError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import CameraRig, Rig, load_rig
 from resync_robot.progress import say
 from resync_robot.run_folder import check_writable, default_folder
-from sim_training.calibration_scene import CalibrationWorld, Poster, displaced, empty_task
+from sim_training.calibration_scene import CalibrationWorld, displaced, empty_task
 from sim_training.sensor import NoisySensor
 
 SPARE = 1.5
 """Poses proposed for each picture wanted: some pictures are refused."""
 JOINT_NOISE = 3e-4
 """rad by which a simulated arm misreports each joint, pose by pose: some 0.3 mm at the flange."""
-SHEET_PX = 60
-"""Pixels a square of the simulated print."""
+LEAST_CHECKED = 4
+"""Views of a check."""
 WORST_SHOWN = 3
 HELD_OPENING = 0.004
 """m between the pads that hold a board."""
-
-
-@dataclass(frozen=True)
-class Machine:
-    """A robot in front of a board. `truth` is the simulator's camera pose, for scoring only."""
-
-    robot: Robot
-    camera: Camera
-    truth: np.ndarray
-    world: CalibrationWorld
 
 
 def hand_eye(config: HandEyeConfig) -> int:
@@ -74,7 +60,7 @@ def hand_eye(config: HandEyeConfig) -> int:
     with _keeping(config, folder):
         shots, truth = _shots(config, rig, camera, folder)
         calibrator = _calibrator(config, camera)
-        views = _views(calibrator, rig, shots)
+        views = _views(calibrator, rig, shots, calibrator.demands.least_views)
         result = calibrator.solve(views, config.seed)
         errors = held_out(calibrator, views, result)
         _draw_views(folder, calibrator, shots, views, result.mount_T_cam, result.other_T_board, result.kept)
@@ -114,9 +100,7 @@ def check(config: CheckConfig) -> int:
     with _keeping(config, folder):
         shots, _ = _shots(config, rig, camera, folder)
         calibrator = _calibrator(config, camera)
-        views = _views(calibrator, rig, shots)
-        if len(views) < 4:
-            raise CalibrationError(f"{len(views)} usable views of the board; a check needs at least 4", "--poses 8")
+        views = _views(calibrator, rig, shots, LEAST_CHECKED)
         board = board_by(calibrator, views, camera.pose)
         errors = judge(calibrator, views, camera.pose, board)
         _draw_views(folder, calibrator, shots, views, camera.pose, board, np.ones(len(views), dtype=bool))
@@ -156,7 +140,7 @@ def live(config: CheckConfig) -> int:
     task = empty_task(rig, config.seed)
     reality = CalibrationWorld(task, displaced(load_rig(None), config.seed), None)
     belief = CalibrationWorld(task, rig, None)
-    belief.built.set_configuration(*_where(reality))
+    belief.built.set_configuration(*standing(reality))
     for i, camera in enumerate(rig.cameras):
         sensor = NoisySensor(config.seed * 10 + i, camera)
         colour = sensor.apply(reality.render(camera.name)).colour
@@ -187,7 +171,7 @@ def intrinsics(config: IntrinsicsConfig) -> int:
     folder = _folder(config)
     with _keeping(config, folder):
         shots, _ = _shots(config, rig, camera, folder)
-        seen = [s.verdict.corners for s in shots if isinstance(s.verdict, Sighting)]
+        seen = [sighting.corners for _, sighting in usable(shots, LEAST_VIEWS)]
         found = check_intrinsics(config.board, camera, seen)
     names = ("fx", "fy", "cx", "cy")
     values = dict(zip(names, found.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], strict=True))
@@ -238,11 +222,10 @@ def _calibrator(config: LookConfig, camera: CameraRig) -> Calibrator:
     return Calibrator(config.board, camera.intrinsics, camera.mount == "world")
 
 
-def _views(calibrator: Calibrator, rig: Rig, shots: list[Shot]) -> list[View]:
+def _views(calibrator: Calibrator, rig: Rig, shots: list[Shot], least: int) -> list[View]:
     return [
-        calibrator.view(s.name, rig.arm.world_T_base @ kinematics.forward(s.q), s.verdict.corners)
-        for s in shots
-        if isinstance(s.verdict, Sighting)
+        calibrator.view(shot.name, rig.arm.world_T_base @ kinematics.forward(shot.q), sighting.corners)
+        for shot, sighting in usable(shots, least)
     ]
 
 
@@ -258,12 +241,14 @@ def _shots(config: LookConfig, rig: Rig, camera: CameraRig, folder: Path) -> tup
         board_in_hand(config.board, rig) if camera.mount == "world" else board_on_table(config.board, config.board_at)
     )
     proposer = Proposer(rig, camera, config.board, board, Reach(most_tilt_deg=config.most_tilt))
-    poses = proposer(int(np.ceil(SPARE * config.poses)), config.seed)
+    # A check must not repeat the poses, nor the noise, of the calibration that it checks.
+    draw = 2 * config.seed + isinstance(config, CheckConfig)
+    poses = proposer(int(np.ceil(SPARE * config.poses)), draw)
     keep = ShotFolder(folder / "views", camera.name, config.board)
     taken: list[Shot] = []
-    rng = np.random.default_rng([config.seed, 7])
-    with _open_simulated(config, rig, camera, board) as machine:
-        stream = Stream(machine.robot, _with_board(rig, config.board) if camera.mount == "world" else rig)
+    rng = np.random.default_rng([draw, 7])
+    with open_simulated(config, camera, board, draw) as machine:
+        stream = Stream(machine.robot, with_board(rig, config.board) if camera.mount == "world" else rig)
         if camera.mount == "world":
             # The sheet is in the hand: the pads close on it.
             stream.run(JointTarget(stream.target.arm, HELD_OPENING), 1.5)
@@ -287,38 +272,7 @@ def _tell(shot: Shot) -> None:
     if isinstance(shot.verdict, Rejected):
         say(f"  {shot.name}  refused: {shot.verdict.reason}")
     else:
-        say(f"  {shot.name}  {len(shot.verdict.corners.ids)} corners at {shot.verdict.cam_T_board[2, 3]:.2f} m")
-
-
-def _with_board(rig: Rig, spec: BoardSpec) -> Rig:
-    """The rig with a longer hand, so that the safety gate keeps the held board off the table too."""
-    return replace(rig, gripper=replace(rig.gripper, tip_offset=rig.gripper.tip_offset + spec.size[1]))
-
-
-@contextmanager
-def _open_simulated(config: LookConfig, rig: Rig, camera: CameraRig, board: np.ndarray) -> Iterator[Machine]:
-    """A simulated machine whose cameras, and whose board, are not quite where anybody thinks."""
-    reality = displaced(load_rig(None), config.seed)
-    rng = np.random.default_rng([config.seed, 3])
-    off = spatial.transform(spatial.rotation_from_vector(rng.normal(0, 0.03, 3)), np.zeros(3))
-    if camera.mount == "flange":
-        # Flat on the table, however it was put there.
-        off = spatial.transform(
-            spatial.rotation_about("z", rng.normal(0, 0.3)), np.array([*rng.normal(0, 0.01, 2), -0.001])
-        )
-    spec = config.board
-    poster = Poster(spec.image(SHEET_PX), spec.size, "flange" if camera.mount == "world" else "world", board @ off)
-    world = CalibrationWorld(empty_task(rig, config.seed), reality, poster)
-    with ExitStack() as stack:
-        robot = stack.enter_context(SimRobot(world))
-        sensor = NoisySensor(config.seed, camera)
-        device = stack.enter_context(NoisyCamera(SimCamera(world, camera.name), sensor))
-        yield Machine(robot, device, reality.camera(camera.name).pose, world)
-
-
-def _where(world: CalibrationWorld) -> tuple[np.ndarray, float]:
-    q, _, opening, _ = world.measure()
-    return q, opening
+        say(f"  {shot.name}  {len(shot.verdict.corners.ids)} corners at {shot.verdict.depth:.2f} m")
 
 
 def _report(views: list[View], result: HandEye, errors: Errors, camera: CameraRig, truth: np.ndarray | None) -> None:
