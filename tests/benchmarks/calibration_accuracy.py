@@ -4,7 +4,7 @@
 
 The poses are those that the calibration proposes for the built-in rig, whose camera and board are then moved a little.
 Boards are projected into its 424 x 240 camera with 0.25 px of noise; the arm misreports its flange by 0.3 mm an axis.
-About 10 s a seed and mount on one core.
+About 4 s of one core for a seed and mount.
 """
 
 from __future__ import annotations
