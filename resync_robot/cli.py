@@ -1,4 +1,4 @@
-"""The command line: five sub-commands, one clear message for what goes wrong, nothing else.
+"""The command line: six sub-commands, one clear message for what goes wrong, nothing else.
 
 Each command is a settings dataclass and a function beside it. The modules imported here load nothing heavy
 before their function runs, so that --help answers at once.
@@ -16,6 +16,7 @@ from typing import Any
 import tyro
 
 from resync_robot import __version__
+from resync_robot.calibrate import CalibrateConfig, calibrate
 from resync_robot.core.errors import ResyncError
 from resync_robot.deploy import DeployConfig, deploy
 from resync_robot.doctor import DoctorConfig, doctor
@@ -28,6 +29,7 @@ COMMANDS: dict[str, tuple[type, Callable[[Any], int | None]]] = {
     "deploy": (DeployConfig, deploy),
     "evaluate": (EvaluateConfig, evaluate),
     "review": (ReviewConfig, review),
+    "calibrate": (CalibrateConfig, calibrate),
     "doctor": (DoctorConfig, doctor),
 }
 """Name on the command line -> its settings and what runs with them."""
@@ -84,15 +86,16 @@ def _run(argv: Sequence[str] | None) -> int:
         return 0
     verbose = {"-v", "--verbose"} & set(args)
     log_to_stderr(logging.DEBUG if verbose else logging.INFO)
-    config = tyro.extras.subcommand_cli_from_dict(
-        {name: settings for name, (settings, _) in COMMANDS.items()},
-        prog="resync-robot",
-        description=DESCRIPTION,
-        args=gather([a for a in args if a not in verbose], "--library"),
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),
-    )
-    run = next(function for settings, function in COMMANDS.values() if settings is type(config))
     try:
+        # Some settings refuse values as soon as they are read.
+        config = tyro.extras.subcommand_cli_from_dict(
+            {name: settings for name, (settings, _) in COMMANDS.items()},
+            prog="resync-robot",
+            description=DESCRIPTION,
+            args=gather([a for a in args if a not in verbose], "--library"),
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitSubcommandPrefixes),
+        )
+        run = next(function for settings, function in COMMANDS.values() if settings is type(config))
         return run(config) or 0
     except ResyncError as error:
         print(f"error: {error}", file=sys.stderr)

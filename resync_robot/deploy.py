@@ -93,6 +93,8 @@ def deploy(config: DeployConfig) -> int:
     check_folder(folder)
     if library.rig_hash != rig.hash:
         say(f"Note: the library was learned on another rig ({library.rig_hash}, this one is {rig.hash}).")
+    for line in calibration_complaints(config, rig):
+        say(f"Warning: {line}.\n  -> resync-robot calibrate check --rig {config.rig or 'rig.toml'}")
     say(
         "Poses from the wrist camera (RGB-D with simulated noise)."
         if config.perception == "camera"
@@ -113,6 +115,19 @@ def deploy(config: DeployConfig) -> int:
         say(f"Episode {i + 1}/{len(tasks)}: {verdict}; {len(result.transitions)} skills. Recording: {path}")
     say(f"{succeeded} of {len(tasks)} episodes reached the goal. Review:  resync-robot review {path}")
     return 0 if succeeded == len(tasks) or config.dry_run else 3
+
+
+def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:
+    """What is old, bad or missing in the calibration of the rig's cameras, a line each.
+
+    A simulated camera stands where the rig says it does; on a real rig every camera needs a calibration.
+    """
+    from datetime import date
+
+    from resync_robot.core.calibration_record import complaints
+
+    records = {camera.name: camera.calibration for camera in rig.cameras}
+    return complaints(records, rig.calibration_limits, date.today(), expected=config.backend != "sim")
 
 
 def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:

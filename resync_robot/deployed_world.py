@@ -11,6 +11,7 @@ import numpy as np
 
 from hardware.base import Camera, Robot
 from hardware.stream import Stream
+from hardware.travel import travel
 from perception.belief import Belief, MissingObjectsError
 from perception.scan import Scan
 from resync_robot.core import kinematics, spatial
@@ -22,10 +23,6 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import CameraFrame, Observation
 
-TRAVEL_SPEED = 1.0
-"""rad/s of the fastest joint between viewpoints."""
-SETTLE_S = 0.15
-"""Stillness before a picture is taken."""
 SAFE_TIP = 0.27
 """m; below this the hand is first lifted straight up before it travels to a viewpoint."""
 
@@ -130,15 +127,7 @@ class DeployedWorld:
             self.stream.run(JointTarget(q, opening), 0.02)
 
     def _travel(self, q: np.ndarray) -> None:
-        opening = self.stream.target.opening
-        begin = self.stream.target.arm
-        seconds = max(0.02, float(np.abs(q - begin).max()) / TRAVEL_SPEED * np.pi / 2)
-        steps = int(np.ceil(seconds / 0.02))
-        for i in range(1, steps + 1):
-            s = (1 - np.cos(np.pi * i / steps)) / 2
-            self.stream.run(JointTarget(begin + s * (q - begin), opening), 0.02)
-        self.stream.settle(timeout=1.0)
-        self.stream.run(JointTarget(q, opening), SETTLE_S)
+        travel(self.stream, q)
 
 
 class OracleWorld(DeployedWorld):

@@ -5,7 +5,7 @@ The only file that knows Rerun. Everything is on one timeline, `time`, in second
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import rerun.blueprint as rrb
 
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.episode import Episode, EventKind, Plan
-from resync_robot.core.errors import EpisodeError
+from resync_robot.core.errors import ConfigError, EpisodeError
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
@@ -87,6 +87,22 @@ def draw(episode: Episode, recording: rr.RecordingStream) -> None:
         text = ": ".join(part for part in (event.kind.value, event.text, details) if part)
         recording.log("events", rr.TextLog(text, level=_LEVELS.get(event.kind, "INFO")))
     _draw_forces(episode, recording)
+
+
+def save_pictures(pictures: Mapping[str, np.ndarray], path: Path) -> None:
+    """Write (h, w, 3) RGB pictures by name as an .rrd file, side by side. Raises ConfigError."""
+    views = [rrb.Spatial2DView(origin=name, name=name) for name in pictures]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.open("wb").close()
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror}", "give another folder with --out") from None
+    recording = rr.RecordingStream("resync-robot-calibration")
+    recording.save(path, default_blueprint=rrb.Blueprint(rrb.Vertical(*views), auto_views=False))
+    for name, picture in pictures.items():
+        recording.log(name, rr.Image(picture).compress(jpeg_quality=95), static=True)
+    recording.flush()
+    recording.disconnect()
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from resync_robot import __version__, cli
+from resync_robot.calibrate import CalibrateConfig
 from resync_robot.core.errors import ConfigError
 from resync_robot.doctor import DoctorConfig
 from resync_robot.evaluate import EvaluateConfig
@@ -63,8 +64,16 @@ def test_every_command_explains_each_of_its_options(name: str, capsys: pytest.Ca
     shown = capsys.readouterr().out
     settings = cli.COMMANDS[name][0]
     for field in settings.__dataclass_fields__:
-        assert f"--{field.replace('_', '-')}" in shown or (settings, field) == (ReviewConfig, "episode")
+        unnamed = (settings, field) in {(ReviewConfig, "episode"), (CalibrateConfig, "what")}
+        assert f"--{field.replace('_', '-')}" in shown or unnamed
     assert "{None}" not in shown
+
+
+@pytest.mark.parametrize("what", ["board", "intrinsics", "hand-eye", "check"])
+def test_what_to_calibrate_explains_its_options(what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code("calibrate", what, "--help") == 0
+    shown = capsys.readouterr().out
+    assert "--board.square" in shown and "--out" in shown and "{None}" not in shown
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -55,6 +55,10 @@ class PerceptionError(ResyncError):
     """An image or estimate that cannot be used."""
 
 
+class CalibrationError(ResyncError):
+    """Pictures of a board, or poses of the arm, from which no trustworthy calibration follows."""
+
+
 class RenderError(ResyncError):
     """No device can render."""
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from resync_robot.core import kinematics, spatial
+from resync_robot.core.calibration_record import CalibrationLimits, CalibrationRecord, read_limits, read_record
 from resync_robot.core.errors import ConfigError, UnknownNameError
 
 
@@ -50,7 +51,10 @@ class GripperRig:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraRig:
-    """Attributes: `pose` (4, 4) of the camera in its mount ('flange' or 'world'), OpenCV axes; pixels; sigmas."""
+    """Attributes: `pose` (4, 4) of the camera in its mount ('flange' or 'world'), OpenCV axes; pixels; sigmas.
+
+    `calibration` is None where the pose is a design value.
+    """
 
     name: str
     mount: str
@@ -64,6 +68,7 @@ class CameraRig:
     cy: float
     position_sigma: float
     rotation_sigma: float
+    calibration: CalibrationRecord | None = None
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -80,6 +85,7 @@ class Rig:
     gripper: GripperRig
     cameras: tuple[CameraRig, ...]
     hash: str
+    calibration_limits: CalibrationLimits = CalibrationLimits()
 
     def tip_pose(self, q: Float[np.ndarray, "*b 6"]) -> Float[np.ndarray, "*b 4 4"]:
         """world_T_tip at (..., 6) joint positions in rad."""
@@ -151,7 +157,15 @@ def load_rig(path: Path | None = None) -> Rig:
             )
         return {name: _field(table[name], name, f"{where}: [{title}] {name}") for name in fields}
 
-    top = section({k: v for k, v in data.items() if k not in ("arm", "gripper", "cameras")}, ("name", "provenance"), "")
+    def camera(table: Any, title: str) -> CameraRig:
+        record = None
+        if isinstance(table, Mapping) and "calibration" in table:
+            record = read_record(table["calibration"], f"{where}: [{title}.calibration]")
+            table = {k: v for k, v in table.items() if k != "calibration"}
+        return CameraRig(**section(table, _CAMERA, title), calibration=record)
+
+    tables = ("arm", "gripper", "cameras", "calibration_limits")
+    top = section({k: v for k, v in data.items() if k not in tables}, ("name", "provenance"), "")
     cameras = data.get("cameras")
     if not isinstance(cameras, list) or not cameras:
         raise ConfigError(f"{where}: no [[cameras]]")
@@ -160,8 +174,9 @@ def load_rig(path: Path | None = None) -> Rig:
         provenance=top["provenance"],
         arm=ArmRig(**section(data.get("arm"), _ARM, "arm")),
         gripper=GripperRig(**section(data.get("gripper"), _GRIPPER, "gripper")),
-        cameras=tuple(CameraRig(**section(c, _CAMERA, f"cameras.{i}")) for i, c in enumerate(cameras)),
+        cameras=tuple(camera(table, f"cameras.{i}") for i, table in enumerate(cameras)),
         hash=hashlib.sha256(text.encode()).hexdigest()[:16],
+        calibration_limits=read_limits(data.get("calibration_limits", {}), f"{where}: [calibration_limits]"),
     )
 
 

@@ -1,0 +1,100 @@
+"""Writes calibrated values into a rig file and leaves everything else in it, comments too, as its owner wrote it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from resync_robot.core import spatial
+from resync_robot.core.calibration_record import CalibrationRecord
+from resync_robot.core.errors import ConfigError
+from resync_robot.core.rig import load_rig
+
+
+def update_rig(source: Path | None, target: Path, camera: str, values: Mapping[str, Any], record: Any = None) -> None:
+    """Write `target`: the rig file `source` (None: the built-in one) with another camera entry.
+
+    The result is read back and compared before anything is replaced; an older `target` is kept as `target.bak`.
+
+    Args:
+        values: fields of the camera; `pose` as a (4, 4) matrix, the others numbers.
+        record: a CalibrationRecord that takes the place of an earlier one; None leaves it.
+
+    Raises:
+        ConfigError: the file is written in an unusual way, or cannot be written.
+    """
+    text = source.read_text() if source else files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
+    edited = _edit(text, camera, values, record)
+    beside = target.with_name(target.name + ".part")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(edited)
+    except OSError as error:
+        raise ConfigError(f"cannot write {target}: {error.strerror}", "give another file with --write") from None
+    try:
+        _compare(beside, source, camera, values, record)
+    except ConfigError:
+        beside.unlink()
+        raise
+    if target.exists():
+        target.replace(target.with_name(target.name + ".bak"))
+    beside.replace(target)
+
+
+def pose_text(pose: np.ndarray) -> str:
+    """(4, 4) as the rig file has it: x y z (m) and a quaternion w x y z."""
+    numbers = spatial.features_from_pose(pose)
+    return "[" + ", ".join([*(f"{v:.6f}" for v in numbers[:3]), *(f"{v:.8f}" for v in numbers[3:])]) + "]"
+
+
+def _edit(text: str, camera: str, values: Mapping[str, Any], record: CalibrationRecord | None) -> str:
+    lines = text.splitlines()
+    begin, end = _camera_lines(lines, camera)
+    # A sub-table of this camera begins its own section.
+    sub = next((i for i in range(begin + 1, end) if re.match(r"\s*\[", lines[i])), end)
+    own, calibration = lines[begin:sub], lines[sub:end]
+    for name, value in values.items():
+        shown = pose_text(value) if name == "pose" else f"{value:.6g}"
+        places = [i for i, line in enumerate(own) if re.match(rf"\s*{name}\s*=", line)]
+        if len(places) != 1:
+            raise ConfigError(f"the entry of camera '{camera}' has no line '{name} = ...' of its own", "write it so")
+        comment = re.search(r"\s*#[^\"\]]*$", own[places[0]])
+        own[places[0]] = f"{name} = {shown}{comment.group() if comment else ''}"
+    if record is not None:
+        calibration = [
+            "",
+            "[cameras.calibration]",
+            *(f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v:.4g}" for k, v in asdict(record).items()),
+            "",
+        ]
+        while own and not own[-1].strip():
+            own.pop()
+    return "\n".join([*lines[:begin], *own, *calibration, *lines[end:]]).rstrip() + "\n"
+
+
+def _camera_lines(lines: list[str], camera: str) -> tuple[int, int]:
+    """[begin, end) of the `[[cameras]]` entry of that name, its sub-table included."""
+    starts = [i for i, line in enumerate(lines) if re.match(r"\s*\[\[\s*cameras\s*\]\]", line)]
+    for begin in starts:
+        end = begin + 1
+        while end < len(lines) and not re.match(r"\s*\[(?!\s*cameras\s*\.)", lines[end]):
+            end += 1
+        if any(re.match(rf"\s*name\s*=\s*[\"']{re.escape(camera)}[\"']", line) for line in lines[begin:end]):
+            return begin, end
+    raise ConfigError(f'the rig file has no [[cameras]] entry with a line name = "{camera}"', "write it so")
+
+
+def _compare(written: Path, source: Path | None, camera: str, values: Mapping[str, Any], record: Any) -> None:
+    before, after = load_rig(source).camera(camera), load_rig(written).camera(camera)
+    for name in ("pose", "fx", "fy", "cx", "cy", "position_sigma", "rotation_sigma"):
+        wanted = values.get(name, getattr(before, name))
+        if not np.allclose(getattr(after, name), wanted, rtol=1e-4, atol=1e-6):
+            raise ConfigError(f"the rig file is written in a way in which '{name}' of '{camera}' cannot be changed")
+    if record is not None and (after.calibration is None or after.calibration.calibrated != record.calibrated):
+        raise ConfigError("the rig file is written in a way to which no [cameras.calibration] can be added")

@@ -1,0 +1,32 @@
+"""Moves between places where nothing is touched: straight in joint space, gentle at both ends, still at the end."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from hardware.stream import Stream
+from resync_robot.core.joints import JointTarget
+
+TRAVEL_SPEED = 1.0
+"""rad/s of the fastest joint."""
+SETTLE_S = 0.15
+"""Stillness before a picture is taken."""
+TARGET_PERIOD = 0.02
+"""s between two targets."""
+
+
+def travel(stream: Stream, q: Float[np.ndarray, "6"], speed: float = TRAVEL_SPEED) -> None:
+    """Bring the arm to (6,) joint positions in rad at `speed` rad/s of the fastest joint, and let it come to rest.
+
+    Raises:
+        SafetyError: the way breaks a limit; the arm has then been braked.
+    """
+    opening, begin = stream.target.opening, stream.target.arm
+    seconds = max(TARGET_PERIOD, float(np.abs(q - begin).max()) / speed * np.pi / 2)
+    steps = int(np.ceil(seconds / TARGET_PERIOD))
+    for i in range(1, steps + 1):
+        s = (1 - np.cos(np.pi * i / steps)) / 2
+        stream.run(JointTarget(begin + s * (q - begin), opening), TARGET_PERIOD)
+    stream.settle(timeout=1.0)
+    stream.run(JointTarget(q, opening), SETTLE_S)

@@ -1,0 +1,53 @@
+"""Calibration from the command line: print a board, look at it, find out where the cameras are, check it later."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from resync_robot.calibration_settings import BoardConfig, CheckConfig, HandEyeConfig, IntrinsicsConfig, check_look
+from resync_robot.core.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateConfig:
+    """Calibrate the cameras of a rig: board, intrinsics, hand-eye, check."""
+
+    what: (
+        Annotated[BoardConfig, tyro.conf.subcommand("board")]
+        | Annotated[IntrinsicsConfig, tyro.conf.subcommand("intrinsics")]
+        | Annotated[HandEyeConfig, tyro.conf.subcommand("hand-eye")]
+        | Annotated[CheckConfig, tyro.conf.subcommand("check")]
+    )
+    """What to do."""
+
+
+def calibrate(config: CalibrateConfig) -> int:
+    """Run one of the four.
+
+    Returns:
+        0, or 3 where a check finds the calibration worse than the rig's limits.
+
+    Raises:
+        ResyncError: bad input, or pictures from which nothing follows.
+    """
+    what = config.what
+    if isinstance(what, BoardConfig):
+        from calibration.board import write_board
+        from resync_robot.progress import say
+
+        if not 50 <= what.dpi <= 2400:
+            raise ConfigError(f"--dpi is {what.dpi}; allowed: 50 to 2400")
+        write_board(what.board, what.out, what.dpi)
+        say(f"{what.out}: print at 100 %, glue it flat, measure the squares and give --board.square if they differ.")
+        return 0
+    check_look(what)
+    from resync_robot import calibration_run
+
+    if isinstance(what, IntrinsicsConfig):
+        return calibration_run.intrinsics(what)
+    if isinstance(what, HandEyeConfig):
+        return calibration_run.hand_eye(what)
+    return calibration_run.live(what) if what.live else calibration_run.check(what)

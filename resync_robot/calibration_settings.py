@@ -1,0 +1,102 @@
+"""What `resync-robot calibrate` may be told. Light: the command line reads it for --help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from calibration.board import BoardSpec
+from resync_robot.core.errors import ConfigError
+
+MOST_POSES = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardConfig:
+    """Draw a ChArUco board to scale, as PDF or PNG."""
+
+    board: BoardSpec = field(default_factory=BoardSpec)
+    """What is on it."""
+
+    out: Path = Path("board.pdf")
+    """The file to write: .pdf (for printing) or .png."""
+
+    dpi: int = 600
+    """Pixels an inch of a .png."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LookConfig:
+    """What all that take pictures have in common."""
+
+    backend: Literal["sim", "ur7e"] = "sim"
+    """The robot and cameras to use. The simulated cameras stand a little off the built-in rig, by --seed."""
+
+    camera: str = "wrist"
+    """Which camera of the rig. For one on the flange the board lies on the table, for others the hand holds it."""
+
+    rig: Path | None = None
+    """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
+
+    board: BoardSpec = field(default_factory=BoardSpec)
+    """The printed board. Measure its squares."""
+
+    board_at: tuple[float, float] = (0.48, 0.0)
+    """Roughly where the middle of a board on the table is: x and y in the world, m."""
+
+    poses: int = 24
+    """How many good pictures to take."""
+
+    most_tilt: float = 45.0
+    """Largest angle at which the board is looked at, degrees. Large tilts are what determines the pose."""
+
+    views: Path | None = None
+    """Use the pictures in this folder, of an earlier run, and move nothing."""
+
+    out: Path | None = None
+    """Folder of pictures and overlays. Default: runs/DATE-calibrate-CAMERA."""
+
+    seed: int = 0
+    """Of the proposed poses, and of the simulated machine's errors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntrinsicsConfig(LookConfig):
+    """Compare the camera matrix in the rig file with what views of the board say."""
+
+    write: Path | None = None
+    """Write the camera matrix found into this rig file. Default: only report."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandEyeConfig(LookConfig):
+    """Find out where a camera is, and write it into a rig file."""
+
+    write: Path | None = None
+    """The rig file to write. Default: the file given by --rig, else rig.toml."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckConfig(LookConfig):
+    """Judge the calibration in a rig file by fresh pictures, and write the verdict and date into it."""
+
+    poses: int = 8
+    """How many good pictures to take."""
+
+    live: bool = False
+    """No board: draw the simulated scene over the picture of every camera, as PNG and for Rerun."""
+
+
+def check_look(config: LookConfig) -> None:
+    """Refuse before anything is loaded or moved. Raises ConfigError."""
+    if config.backend != "sim":
+        raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
+    if not 1 <= config.poses <= MOST_POSES:
+        raise ConfigError(f"--poses is {config.poses}; allowed: 1 to {MOST_POSES}, 20 to 30 are good")
+    if not 0.0 <= config.most_tilt <= 60.0:
+        raise ConfigError(f"--most-tilt is {config.most_tilt:g} degrees; allowed: 0 to 60, 45 is good")
+    if config.seed < 0:
+        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
+    if not all(abs(v) <= 2.0 for v in config.board_at):
+        raise ConfigError(f"--board-at is {config.board_at[0]:g} {config.board_at[1]:g} m, out of reach", "in metres")

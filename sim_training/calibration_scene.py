@@ -1,0 +1,119 @@
+"""A simulated robot before a printed board: the board on the table, or in the hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import sapien
+from jaxtyping import Bool, Float, UInt8
+from sapien import render
+
+from resync_robot.core import spatial
+from resync_robot.core.rig import Rig
+from resync_robot.core.state import State
+from resync_robot.core.task import Task
+from resync_robot.core.vocabulary import ROBOT
+from sim_training.randomise import draw_physics
+from sim_training.world import SimWorld
+
+R = ROBOT("r")
+CAMERA_SHIFT, CAMERA_TURN = 0.008, np.radians(1.5)
+"""How far a simulated camera stands from where the rig file has it, per axis: a hand-made mount, a knocked stand."""
+
+
+@dataclass(frozen=True)
+class Poster:
+    """A picture on a flat sheet.
+
+    Attributes:
+        image: (h, w) grey.
+        size: (width, height), m; x right, y down, z into the sheet, origin at the upper left.
+        pose: (4, 4) of the sheet in its mount.
+    """
+
+    image: UInt8[np.ndarray, "h w"]
+    size: tuple[float, float]
+    mount: Literal["world", "flange"]
+    pose: Float[np.ndarray, "4 4"]
+
+
+def displaced(rig: Rig, seed: int) -> Rig:
+    """The rig with every camera a little off its place: the truth that a calibration has to find out."""
+    rng = np.random.default_rng([seed, 20_261_122])
+    cameras = []
+    for camera in rig.cameras:
+        turn, shift = rng.normal(0.0, CAMERA_TURN, 3), rng.normal(0.0, CAMERA_SHIFT, 3)
+        off = spatial.transform(spatial.rotation_from_vector(turn), shift)
+        cameras.append(replace(camera, pose=camera.pose @ off))
+    return replace(rig, cameras=tuple(cameras))
+
+
+def empty_task(rig: Rig, seed: int) -> Task:
+    """Nothing on the table."""
+    state = State({R: rig.robot_features(rig.arm.home, rig.gripper.max_opening)})
+    return Task((R,), state, frozenset(), draw_physics(np.random.default_rng(seed), []), seed)
+
+
+class CalibrationWorld(SimWorld):
+    """`SimWorld` with a poster in it.
+
+    Args:
+        task: see `empty_task`.
+        rig: where the cameras really are.
+        poster: what stands or is held there; None for nothing.
+
+    Raises:
+        RenderError: no device can render.
+    """
+
+    def __init__(self, task: Task, rig: Rig, poster: Poster | None) -> None:
+        super().__init__(task, rig, rendered=True)
+        if poster is not None:
+            self._add(poster)
+
+    def _add(self, poster: Poster) -> None:
+        paint = render.RenderMaterial()
+        paint.base_color = [1.0, 1.0, 1.0, 1.0]
+        paint.roughness, paint.metallic, paint.specular = 0.9, 0.0, 0.0
+        rgba = np.dstack([poster.image] * 3 + [np.full_like(poster.image, 255)])
+        # Without the smaller copies a far board would glitter.
+        paint.base_color_texture = render.RenderTexture2D(
+            np.ascontiguousarray(rgba), "R8G8B8A8Unorm", mipmap_levels=6, address_mode="edge"
+        )
+        width, height = poster.size
+        corners = np.array([[0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]], dtype=np.float32)
+        towards_viewer = np.tile(np.array([0, 0, -1], dtype=np.float32), (4, 1))
+        uvs = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32)
+        triangles = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.uint32)
+        look = render.RenderBodyComponent()
+        look.attach(render.RenderShapeTriangleMesh(corners, triangles, towards_viewer, uvs, paint))
+        # The back of the sheet, plain grey: seen from behind, a board must not be read mirrored.
+        back = render.RenderMaterial()
+        back.base_color = [0.5, 0.5, 0.5, 1.0]
+        behind = corners + np.array([0, 0, 1e-3], dtype=np.float32)
+        look.attach(render.RenderShapeTriangleMesh(behind, triangles[:, ::-1].copy(), -towards_viewer, uvs, back))
+        entity = sapien.Entity()
+        entity.name = "poster"
+        if poster.mount == "flange":
+            # A body of its own that is carried along: see `render`.
+            self._carried = (entity, poster.pose)
+        entity.add_component(look)
+        entity.set_pose(sapien.Pose(poster.pose))
+        self.built.scene.add_entity(entity)
+
+    _carried: tuple[sapien.Entity, np.ndarray] | None = None
+
+    def render(self, name: str):  # type: ignore[no-untyped-def]
+        """A noiseless picture, the held poster where the hand is now."""
+        if self._carried is not None:
+            entity, flange_T_poster = self._carried
+            flange = self.built.flange.entity_pose.to_transformation_matrix()
+            entity.set_pose(sapien.Pose(flange @ flange_T_poster))
+        return super().render(name)
+
+    def robot_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
+        """Which pixels of the last picture of that camera show the robot."""
+        segmentation = self.built.cameras[name].get_picture("Segmentation")[..., 1]
+        return np.isin(segmentation, [link.entity.per_scene_id for link in self.built.robot.links])

@@ -1,0 +1,87 @@
+"""A calibrated pose goes into a rig file, and nothing else of it changes."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calibration.rig_file import update_rig
+from resync_robot.core import spatial
+from resync_robot.core.calibration_record import CalibrationRecord
+from resync_robot.core.errors import ConfigError
+from resync_robot.core.rig import load_rig
+from tests.calibration.synthetic import jolt
+
+BUILT_IN = files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
+RECORD = CalibrationRecord(
+    calibrated="2026-01-31", checked="2026-02-01", method='eye-in-hand: "PARK"', views=20, left_out=2,
+    held_out_mm=0.41, held_out_deg=0.12, held_out_px=0.3,
+)  # fmt: skip
+RECORD = replace(RECORD, method="eye-in-hand: PARK")
+
+
+@given(st.integers(0, 10_000), st.sampled_from(["wrist", "front", "side"]))
+def test_a_pose_is_read_back_and_all_else_stays(seed: int, camera: str) -> None:
+    pose = jolt(np.random.default_rng(seed), 1.0, 0.3)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.toml"
+        update_rig(None, path, camera, {"pose": pose, "position_sigma": 0.0004}, RECORD)
+        rig, before = load_rig(path), load_rig()
+        text = path.read_text()
+    found = rig.camera(camera)
+    np.testing.assert_allclose(found.pose, pose, atol=2e-6)
+    assert found.position_sigma == 0.0004 and found.calibration == RECORD
+    assert rig.calibration_limits == before.calibration_limits
+    for other in (c for c in before.cameras if c.name != camera):
+        same = rig.camera(other.name)
+        np.testing.assert_array_equal(same.pose, other.pose)
+        assert same.calibration is None and same.position_sigma == other.position_sigma
+    changed = set(BUILT_IN.splitlines()) - set(text.splitlines())
+    assert all(line.startswith(("pose", "position_sigma")) for line in changed), "comments stay"
+
+
+def test_a_second_calibration_takes_the_place_of_the_first(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    update_rig(None, path, "wrist", {"pose": np.eye(4)}, RECORD)
+    first = path.read_text()
+    later = replace(RECORD, checked="2026-05-05")
+    update_rig(path, path, "wrist", {}, later)
+    assert load_rig(path).camera("wrist").calibration == later
+    assert path.read_text().count("[cameras.calibration]") == 1
+    assert (tmp_path / "rig.toml.bak").read_text() == first
+    update_rig(path, path, "side", {"fx": 310.25}, None)
+    assert load_rig(path).camera("side").fx == 310.25
+    assert load_rig(path).camera("wrist").calibration == later
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["rig.toml", "rig.toml.bak"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        BUILT_IN.replace('name = "wrist"', '"name" = "wrist"'),
+        BUILT_IN.replace("pose = [0.11,", '"pose" = [0.11,'),
+        BUILT_IN.replace("pose = [0.11, 0.0,", "pose = [0.11,\n  0.0,"),
+    ],
+    ids=["quoted name", "quoted field", "vector over two lines"],
+)
+def test_a_file_written_in_an_unusual_way_is_refused_and_left_as_it_is(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    load_rig(path)
+    with pytest.raises(ConfigError):
+        update_rig(path, path, "wrist", {"pose": spatial.transform(None, np.ones(3))}, RECORD)
+    assert path.read_text() == text
+    assert [p.name for p in tmp_path.iterdir()] == ["rig.toml"]
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="cannot write"):
+        update_rig(None, tmp_path / "file" / "rig.toml", "wrist", {}, RECORD)

@@ -1,0 +1,205 @@
+"""`calibrate`: bad input is one error and loses nothing; in simulation a camera that was knocked is found again."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from datetime import date, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.detect import Rejected
+from calibration.rig_file import update_rig
+from calibration.shots import Shot, ShotFolder
+from resync_robot import cli
+from resync_robot.core import kinematics, spatial
+from resync_robot.core.calibration_record import CalibrationRecord
+from resync_robot.core.errors import MotionError, RenderError
+from resync_robot.core.rig import Rig, load_rig
+from resync_robot.deploy import DeployConfig, calibration_complaints
+from sim_training.calibration_scene import CalibrationWorld, displaced, empty_task
+from tests.calibration import synthetic
+
+RECORD = CalibrationRecord(
+    calibrated="2026-01-01", checked="2026-01-01", method="eye-in-hand", views=20, left_out=1,
+    held_out_mm=0.5, held_out_deg=0.2, held_out_px=0.3,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def renderer() -> None:
+    try:
+        CalibrationWorld(empty_task(load_rig(), 0), load_rig(), None)
+    except RenderError as error:
+        pytest.skip(f"no Vulkan device: {error.what}")
+
+
+def run(*args: str) -> int | str | None:
+    try:
+        return cli.main(["calibrate", *args])
+    except SystemExit as end:
+        return end.code
+
+
+def stored(folder: Path, rig: Rig, true_flange_T_cam: np.ndarray, count: int = 14, tilt: float = 45.0) -> None:
+    """A folder of pictures as an earlier run leaves them, without a renderer."""
+    rng = np.random.default_rng(5)
+    keep = ShotFolder(folder, "wrist", synthetic.SPEC)
+    down = np.array([[0, 1.0, 0], [1, 0, 0], [0, 0, -1]])
+    world_T_board = spatial.transform(down, np.array([0.48, 0, 0]) - down @ synthetic.SPEC.centre)
+    taken = 0
+    while taken < count:
+        cam_T_board = synthetic.draw_pose(rng, tilt)
+        world_T_flange = world_T_board @ spatial.inverse(true_flange_T_cam @ cam_T_board)
+        try:
+            q = kinematics.inverse(spatial.inverse(rig.arm.world_T_base) @ world_T_flange, rig.arm.home)
+        except MotionError:
+            continue
+        name = f"wrist-{taken:03d}.png"
+        keep.add(Shot(name, synthetic.photograph(cam_T_board), q, Rejected("not judged here")))
+        taken += 1
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        (("board", "--out", "board.svg"), "give --out board.pdf"),
+        (("board", "--dpi", "5"), "--dpi is 5"),
+        (("board", "--board.square", "32"), "lengths are in metres"),
+        (("board", "--board.dictionary", "9x9"), "valid: 4x4_50"),
+        (("board", "--out", "/dev/null/board.pdf"), "cannot write /dev/null/board.pdf"),
+        (("hand-eye", "--camera", "back"), "unknown camera 'back'"),
+        (("hand-eye", "--backend", "ur7e"), "use --backend sim"),
+        (("hand-eye", "--poses", "0"), "--poses is 0"),
+        (("hand-eye", "--most-tilt", "80"), "--most-tilt is 80"),
+        (("hand-eye", "--seed", "-1"), "--seed is -1"),
+        (("hand-eye", "--board-at", "5", "0"), "out of reach"),
+        (("hand-eye", "--rig", "absent.toml"), "absent.toml"),
+        (("hand-eye", "--views", "nowhere"), "no pictures in nowhere"),
+        (("hand-eye", "--write", "/dev/null/rig.toml"), "cannot write /dev/null/rig.toml"),
+        (("hand-eye", "--out", "/dev/null/run"), "cannot write /dev/null/run"),
+        (("check", "--camera", "back"), "front, side, wrist"),
+        (("check", "--live", "--rig", "absent.toml"), "absent.toml"),
+        (("intrinsics", "--views", "nowhere"), "no pictures in nowhere"),
+        (("hand-eye", "--board-at", "1.9", "0"), "reaches 0 of"),
+    ],
+)
+def test_bad_input_is_one_error_with_code_2(
+    args: tuple[str, ...],
+    word: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(*args) == 2
+    shown = capsys.readouterr()
+    assert shown.err.startswith("error: ") and word in shown.err
+    assert "Traceback" not in shown.err and shown.out == ""
+    assert not list(tmp_path.rglob("*.toml")) and not list(tmp_path.rglob("*.p*"))
+
+
+def test_a_rig_file_that_lies_there_is_not_replaced_by_the_built_in_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("rig.toml").write_text("mine")
+    assert run("hand-eye") == 2
+    assert "give --rig rig.toml" in capsys.readouterr().err
+    assert Path("rig.toml").read_text() == "mine"
+
+
+def test_pictures_of_an_earlier_run_are_enough(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rig = load_rig()
+    truth = rig.camera("wrist").pose @ synthetic.jolt(np.random.default_rng(0), 0.02, 0.01)
+    stored(Path("views"), rig, truth)
+    assert run("hand-eye", "--views", "views", "--out", "run") == 0
+    said = capsys.readouterr().out
+    assert "14 of 14 views" in said and "on views held out" in said
+    found = load_rig(Path("rig.toml")).camera("wrist")
+    np.testing.assert_allclose(found.pose, truth, atol=1e-3)
+    assert found.calibration is not None and found.calibration.checked == date.today().isoformat()
+    assert found.calibration.held_out_mm < 1.0
+    assert len(list(Path("run/overlays").glob("*.png"))) == 3
+    assert tomllib.loads(Path("rig.toml").read_text())["cameras"][1]["name"] == "front"
+
+    assert run("check", "--views", "views", "--rig", "rig.toml") == 0
+    assert run("check", "--views", "views") == 3, "the built-in rig does not know that the camera was moved"
+    assert "hand-eye --camera wrist" in capsys.readouterr().out
+    assert run("intrinsics", "--views", "views") == 0
+    assert "off by" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("kind", "word"),
+    [
+        ("few", "usable pictures"),
+        ("flat", "too flat"),
+        ("size", "measures squares of 32."),
+        ("board", "usable pictures"),
+    ],
+)
+def test_pictures_from_which_nothing_follows_are_one_error_and_stay(
+    kind: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rig = load_rig()
+    count, tilt = (5 if kind == "few" else 14), (5.0 if kind == "flat" else 45.0)
+    stored(Path("views"), rig, rig.camera("wrist").pose, count, tilt)
+    before = sorted(p.name for p in Path("views").iterdir())
+    more = {"size": ("--board.square", "0.034"), "board": ("--board.dictionary", "5x5_50")}.get(kind, ())
+    assert run("hand-eye", "--views", "views", "--write", "rig.toml", *more) == 2
+    shown = capsys.readouterr().err
+    assert shown.startswith("error: ") and word in shown and "--views views" in shown and "\n  -> " in shown
+    assert not Path("rig.toml").exists()
+    assert sorted(p.name for p in Path("views").iterdir()) == before
+
+
+def test_a_deployment_warns_of_an_old_or_bad_calibration(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    fresh = replace(RECORD, checked=date.today().isoformat())
+    old = replace(RECORD, checked=(date.today() - timedelta(days=100)).isoformat(), held_out_px=4.0)
+    update_rig(None, path, "wrist", {}, fresh)
+    update_rig(path, path, "front", {}, old)
+    rig = load_rig(path)
+    lines = calibration_complaints(DeployConfig(), rig)
+    assert len(lines) == 2 and all("front" in line for line in lines)
+    assert calibration_complaints(DeployConfig(), load_rig()) == []
+    on_a_real_arm = calibration_complaints(DeployConfig(backend="ur7e"), rig)
+    assert len(on_a_real_arm) == 3 and any("'side' has never" in line for line in on_a_real_arm)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("camera", ["wrist", "front"])
+def test_in_simulation_a_knocked_camera_is_found(
+    renderer: None, camera: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("hand-eye", "--camera", camera, "--poses", "16", "--seed", "1", "--write", "rig.toml") == 0
+    assert "the simulator's truth is 0." in capsys.readouterr().out
+    rig, truth = load_rig(Path("rig.toml")), displaced(load_rig(), 1).camera(camera)
+    found = rig.camera(camera).pose
+    assert np.linalg.norm(found[:3, 3] - truth.pose[:3, 3]) < 0.001
+    assert np.degrees(np.linalg.norm(spatial.rotation_vector(found[:3, :3].T @ truth.pose[:3, :3]))) < 0.1
+    assert run("check", "--camera", camera, "--seed", "1", "--rig", "rig.toml") == 0
+    assert run("check", "--camera", camera, "--seed", "2", "--rig", "rig.toml") == 3, "another machine"
+
+
+@pytest.mark.slow
+def test_the_simulation_is_drawn_over_the_picture(
+    renderer: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("check", "--live", "--out", "run") == 3
+    assert "robot off by" in capsys.readouterr().out
+    assert sorted(p.name for p in Path("run").iterdir()) == [
+        "live-front.png", "live-side.png", "live-wrist.png", "live.rrd",
+    ]  # fmt: skip
+    for name, pose in {c.name: c.pose for c in displaced(load_rig(), 0).cameras}.items():
+        update_rig(Path("rig.toml") if Path("rig.toml").exists() else None, Path("rig.toml"), name, {"pose": pose})
+    assert run("check", "--live", "--rig", "rig.toml") == 0, "with the cameras where they are it fits"
