@@ -65,6 +65,7 @@ class Ur7e(Connected):
         self._stopped_at = 0.0
         self._opening = 0.0
         self._blocks = 0
+        self._last_heard = 0.0, time.monotonic()
 
     def connect(self) -> None:
         """Check the controller's state, start the link, verify payload and TCP. Nothing moves.
@@ -107,6 +108,14 @@ class Ur7e(Connected):
                 self._stop_program()
         self._memory = None
         self.gripper.close()
+
+    def clock(self) -> float:
+        """s on the controller's clock when it was last heard; goes on counting while it is silent."""
+        if self._memory is not None:
+            now = self._memory.snapshot()
+            self._last_heard = float(now["time"]), float(now["heard"])
+        time_, heard = self._last_heard
+        return time_ + max(0.0, time.monotonic() - heard)
 
     def state(self) -> RobotState:
         """The latest measurement. Raises StaleError when the controller has been silent for too long."""

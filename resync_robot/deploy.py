@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING, Literal
 from resync_robot.core.errors import ConfigError, PlanningError
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from hardware.base import ProtectiveStopError
+    from resync_robot.backends import Devices
     from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain, Task
@@ -74,13 +78,13 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.run_folder import RunFolder, default_folder
     from sim_training.domains import find_domain
 
-    if config.backend != "sim":
-        raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
     if config.episodes < 1:
         raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
     if config.seed < 0:
         raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
     domain, rig = find_domain(config.domain), load_rig(config.rig)
+    if config.backend == "ur7e":
+        _check_rig(config, rig)
     domain.scenario(config.scenario)
     library = load_library(config.library or shipped_library(domain.name))
     model = learned_model(domain, rig, library)
@@ -92,19 +96,22 @@ def deploy(config: DeployConfig) -> int:
     folder = RunFolder(config.out or default_folder("deploy"))
     if library.rig_hash != rig.hash:
         say(f"Note: the library was learned on another rig ({library.rig_hash}, this one is {rig.hash}).")
+    simulated = rig.controller is None or rig.controller.emulated
+    noise = " (RGB-D with simulated noise)" if simulated else ""
     say(
-        "Poses from the wrist camera (RGB-D with simulated noise)."
+        f"Poses from the wrist camera{noise}."
         if config.perception == "camera"
         else "Poses from the simulator (--perception oracle)."
     )
-    say(
-        f"{domain.recovery} follows its block through the simulator's state while it runs; "
-        "everything else is estimated."
-    )
+    if simulated:
+        say(
+            f"{domain.recovery} follows its block through the simulator's state while it runs; "
+            "everything else is estimated."
+        )
     succeeded = 0
     for i, task in enumerate(tasks):
         path = folder.path / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
-        result, reached = _episode(config, rig, library, model, task, path)
+        result, reached = _episode(config, rig, library, model, task, i, path)
         if result.end is End.NO_PLAN and not result.transitions:
             raise PlanningError(result.reason, 'give another --goal, such as --goal "On(b1,b0)"')
         succeeded += reached
@@ -112,6 +119,15 @@ def deploy(config: DeployConfig) -> int:
         say(f"Episode {i + 1}/{len(tasks)}: {verdict}; {len(result.transitions)} skills. Recording: {path}")
     say(f"{succeeded} of {len(tasks)} episodes reached the goal. Review:  resync-robot review {path}")
     return 0 if succeeded == len(tasks) or config.dry_run else 3
+
+
+def _check_rig(config: DeployConfig, rig: Rig) -> None:
+    """What the ur7e backend needs to know before anything is read or moved. Raises RobotError or ConfigError."""
+    from hardware.ur7e import require_controller
+
+    emulated = require_controller(rig).emulated
+    if not emulated and config.perception == "oracle":
+        raise ConfigError("no real robot knows where things are", "use --perception camera")
 
 
 def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
@@ -124,12 +140,12 @@ def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
 
 
 def _episode(
-    config: DeployConfig, rig: Rig, library: Library, model: Model, task: Task, path: Path
+    config: DeployConfig, rig: Rig, library: Library, model: Model, task: Task, index: int, path: Path
 ) -> tuple[Result, bool]:
     from hardware.base import RobotError
     from resync_robot import __version__
-    from resync_robot.backends import open_simulated
-    from resync_robot.core.episode import EpisodeMeta
+    from resync_robot.backends import Layout, open_simulated, open_ur7e
+    from resync_robot.core.episode import EpisodeMeta, EventKind
     from resync_robot.core.episode_writer import EpisodeWriter
     from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
@@ -148,18 +164,32 @@ def _episode(
         backend=config.backend,
         versions={"resync-robot": __version__},
     )
-    with EpisodeWriter(path, meta) as writer, open_simulated(task, rig) as devices:
+    if config.backend == "sim":
+        opened: AbstractContextManager[Devices] = open_simulated(task, rig)
+    else:
+        opened = open_ur7e(Layout(config.domain, config.scenario, config.seed, index), rig)
+    # The devices come first: where there is no robot, no recording is left behind.
+    with opened as devices, EpisodeWriter(path, meta) as writer:
         standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"]
         recorder = Recorder(
             writer,
-            lambda: devices.world.time,
+            devices.clock,
             devices.truth,
             lambda: [c.capture() for c in standing],
             confirm=lambda step: _may_run(config, str(step)),
             tell=say,
         )
         kind = DeployedWorld if config.perception == "camera" else OracleWorld
-        world = kind(devices.robot, devices.cameras["wrist"], rig, task.objects, devices.truth, recorder.on_scan)
+
+        def on_stop(error: ProtectiveStopError) -> None:
+            writer.event(devices.clock(), EventKind.STOP, error.what)
+            if devices.resume is None or not _acknowledged(error):
+                raise error
+            devices.resume()
+
+        world = kind(
+            devices.robot, devices.cameras["wrist"], rig, task.objects, devices.truth, recorder.on_scan, on_stop
+        )
         world.stream.recorders.append(recorder.on_stream)
 
         say(f"Goal: {goal}")
@@ -168,8 +198,12 @@ def _episode(
         except (PerceptionError, MotionError, RobotError) as error:
             # One episode's trouble is recorded with it and leaves the others their turn.
             recorder.on_end(End.FAULT, error.what)
-            result = Result(End.FAULT, error.what, (), (), devices.truth())
-        reached = result.success and task.goal <= model.abstraction.true_atoms(devices.truth())
+            result = Result(End.FAULT, error.what, (), (), task.initial)
+        if devices.truth is None:
+            reached = result.success
+        else:
+            # What the robot believes at the end does not count where the truth can be had.
+            reached = result.success and task.goal <= model.abstraction.true_atoms(devices.truth())
     return result, reached
 
 
@@ -184,3 +218,14 @@ def _may_run(config: DeployConfig, step: str) -> bool:
         raise ConfigError(
             "--confirm asks before each step, and there is no terminal to answer", "drop --confirm"
         ) from None
+
+
+def _acknowledged(error: ProtectiveStopError) -> bool:
+    """Ask whoever stands at the robot. Without a terminal to answer, nothing is ever acknowledged."""
+    from resync_robot.progress import say
+
+    say(f"STOP: {error.what}. Look at the robot, and clear what stopped it.")
+    try:
+        return input("Type 'clear' to release the stop and go on, anything else to end: ").strip().lower() == "clear"
+    except EOFError:
+        return False

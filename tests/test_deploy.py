@@ -18,6 +18,9 @@ from tests import scenes
 from tests.libraries import DOMAIN, given_library
 
 
+RIG = str(Path(__file__).parents[1] / "hardware" / "emulated.toml")
+
+
 @pytest.fixture
 def library(tmp_path: Path) -> Path:
     save_library(given_library(), tmp_path / "library")
@@ -48,7 +51,8 @@ def renderer() -> None:
         (("--rig", "/nowhere.toml"), "/nowhere.toml"),
         (("--episodes", "0"), "--episodes is 0"),
         (("--seed", "-1"), "--seed is -1"),
-        (("--backend", "ur7e"), "ur7e"),
+        (("--backend", "ur7e"), "no [controller]"),
+        (("--backend", "ur7e", "--rig", RIG), "no emulated lab at"),
         (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),
     ],
 )
@@ -66,6 +70,10 @@ def test_bad_input_is_one_error_with_code_2(
     shown = capsys.readouterr()
     assert shown.err.startswith("error: ") and word in shown.err
     assert "Traceback" not in shown.err
+    if "no emulated lab" in word:
+        # Found out only when the first episode begins, and nothing of it is recorded.
+        assert not list(tmp_path.rglob("*.mcap"))
+        return
     assert shown.out == ""
     assert [p.name for p in tmp_path.iterdir()] == ["library"], "nothing may be left behind"
 

@@ -134,6 +134,13 @@ class Controller:
         """After the last tick."""
         return self._measured
 
+    def install(self, arm: PhysicsArm) -> None:
+        """Another arm in another scene; whatever program ran is ended, the clock goes on."""
+        self.stop_program("another scene was laid out")
+        self.arm, self._measured = arm, arm.measure()
+        self.commanded, self.velocity = self._measured.q.copy(), np.zeros(6)
+        self.opening = self._measured.opening
+
     def tick(self) -> None:
         """Advance by SERVO_PERIOD."""
         self.ticks += 1

@@ -47,6 +47,11 @@ class EmulatedGripper:
         self._still = 0.0
         self._pre = count_of(opening)
 
+    def lay_open(self, opening: float) -> None:
+        """Stand open at `opening` (m), as in a new scene."""
+        self.request = self.driven = self.measured = opening
+        self.object, self._pre = 3, count_of(opening)
+
     def set(self, name: str, value: int) -> None:
         value = min(max(value, 0), 255)
         if name == "POS":

@@ -10,8 +10,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeout
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol, Self, TypeVar
 
 from hardware.base import SERVO_PERIOD, RobotError
 from hardware.emulator.controller import Controller
@@ -21,6 +23,7 @@ from hardware.emulator.rtde import ProtocolError, RtdeClient
 from hardware.emulator.script import ScriptClient
 from hardware.emulator.variables import Value
 
+T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT, GRIPPER_PORT = 30004, 30003, 29999, 63352
@@ -82,6 +85,8 @@ class Emulator:
         """How much time was lost so far because this machine was too busy."""
         self.malformed = 0
         """Connections that were ended because of what they sent."""
+        self.every_tick: list[Callable[[Emulator], None]] = []
+        """Called on the emulator's thread."""
         self._calls: deque[Callable[[], None]] = deque()
         self._reserved: dict[str, RtdeClient] = {}
         self._connections: list[Connection] = []
@@ -133,19 +138,26 @@ class Emulator:
     ) -> None:
         self.close()
 
-    def call(self, action: Callable[[], None], wait: bool = True) -> None:
-        """Run `action` on the emulator's own thread, between two ticks."""
-        done = threading.Event()
+    def call(self, action: Callable[[], T], limit: float = 5.0) -> T:
+        """What `action` returns, run on the emulator's own thread between two ticks.
+
+        Raises:
+            RobotError: it did not come to an end within `limit` s.
+        """
+        answer: Future[T] = Future()
 
         def run() -> None:
             try:
-                action()
-            finally:
-                done.set()
+                answer.set_result(action())
+            # Whatever it is belongs to the caller, not to the loop.
+            except Exception as error:
+                answer.set_exception(error)
 
         self._calls.append(run)
-        if wait and self._thread is not None and not done.wait(5.0):
-            raise RobotError("the emulator does not run")
+        try:
+            return answer.result(limit)
+        except FutureTimeout:
+            raise RobotError(f"the emulator did not answer within {limit} s") from None
 
     def drop_link(self) -> None:
         """Cut every RTDE connection, as a pulled cable does; call it through `call`."""
@@ -176,6 +188,8 @@ class Emulator:
                 self.controller.opening = self.gripper.tick(self.controller.measured.opening)
             self.controller.tick()
             self._send_data()
+            for hook in self.every_tick:
+                hook(self)
 
     def _rtde_client(self) -> RtdeClient:
         return RtdeClient(self.controller.settings.version, self._reserve, self.controller.on_input)

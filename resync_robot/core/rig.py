@@ -115,6 +115,12 @@ class Rig:
         """The robot's features in a state: pose of the tip in the world, and the opening in m."""
         return np.concatenate([spatial.features_from_pose(self.tip_pose(q)), [opening]])
 
+    def camera_pose(self, camera: CameraRig, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
+        """world_T_cam of a camera of this rig, on the flange or in the world, at (6,) joint positions in rad."""
+        if camera.mount == "world":
+            return camera.pose
+        return self.arm.world_T_base @ kinematics.forward(q) @ camera.pose
+
     def camera(self, name: str) -> CameraRig:
         for camera in self.cameras:
             if camera.name == name:
