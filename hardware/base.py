@@ -47,7 +47,7 @@ class SafetyError(MotionError):
 
     Attributes:
         quantity: what was violated: 'shape', 'finite', 'position', 'jump', 'velocity', 'acceleration', 'jerk',
-            'opening', 'opening speed' or 'floor'.
+            'opening', 'opening speed', 'floor' or 'force'.
         joint: name of the joint, or 'gripper', 'tip', 'flange'.
         value, limit: what was asked and what is allowed, SI units.
     """

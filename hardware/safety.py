@@ -48,6 +48,7 @@ class Guard:
             ("acceleration", "rad/s^2", arm.acceleration_limit),
             ("jerk", "rad/s^3", arm.jerk_limit),
         )
+        self._most_force = rig.controller.force_limit if rig.controller is not None else None
         self._past = np.zeros((3, 6))
         self._opening = 0.0
         self.start()
@@ -90,11 +91,13 @@ class Guard:
         openings: Float[np.ndarray, " n"],
         after_each: Callable[[], None] | None = None,
         stop: Float[np.ndarray, "m 6"] | None = None,
+        braking: bool = False,
     ) -> None:
         """Check the whole block, then send it, one setpoint every SERVO_PERIOD; call `after_each` after each.
 
         Args:
             stop: the way to rest from the block's end, for a robot whose clock does not wait; checked like the block.
+            braking: the block leads to rest, and so is sent whatever the tip feels.
 
         Raises:
             SafetyError: a setpoint breaks a limit; nothing of the block was sent.
@@ -108,6 +111,8 @@ class Guard:
         self._check_block(whole, hands)
         self._check_rates(whole, hands)
         if self._realtime is not None:
+            if not braking:
+                self._check_force()
             self._realtime.play(setpoints, openings, np.empty((0, 6)) if stop is None else stop, after_each)
             self._past = np.concatenate([self._past, setpoints])[-3:]
             self._opening = float(openings[-1]) if len(openings) else self._opening
@@ -121,6 +126,17 @@ class Guard:
             servo(q, opening)
             if after_each is not None:
                 after_each()
+
+    def _check_force(self) -> None:
+        if self._most_force is None:
+            return
+        force = float(np.linalg.norm(self._robot.state().tip_force))
+        if force > self._most_force:
+            raise SafetyError(
+                "force", "tip", force, self._most_force,
+                f"the tip feels {force:.0f} N; allowed: {self._most_force:.0f} N",
+                "look what it touches; [controller] force_limit in the rig file sets the limit",
+            )  # fmt: skip
 
     def _check_block(self, setpoints: np.ndarray, openings: np.ndarray) -> None:
         if setpoints.ndim != 2 or setpoints.shape[1] != 6 or openings.shape != setpoints.shape[:1]:

@@ -183,7 +183,7 @@ class Stream:
         if len(setpoints):
             end = JointTarget(setpoints[-1].copy(), self._guard.last_opening)
             try:
-                self._send(end, setpoints, np.full(len(setpoints), self._guard.last_opening), np.empty((0, 6)))
+                self._send(end, setpoints, np.full(len(setpoints), self._guard.last_opening), braking=True)
             except StarvedError as error:
                 self._guard.rest_at(error.q)
         self._rest()
@@ -258,7 +258,12 @@ class Stream:
         return np.clip(wanted, start - reach, start + reach)
 
     def _send(
-        self, requested: JointTarget, setpoints: np.ndarray, openings: np.ndarray, stop: np.ndarray | None = None
+        self,
+        requested: JointTarget,
+        setpoints: np.ndarray,
+        openings: np.ndarray,
+        stop: np.ndarray | None = None,
+        braking: bool = False,
     ) -> None:
         def record() -> None:
             self._since_record += 1
@@ -268,7 +273,7 @@ class Stream:
                 for recorder in self.recorders:
                     recorder(state, command)
 
-        self._guard.send(setpoints, openings, record if self.recorders else None, stop)
+        self._guard.send(setpoints, openings, record if self.recorders else None, stop, braking)
 
     def _command(self, requested: JointTarget) -> Command:
         sent = JointTarget(self._guard.last_sent, self._guard.last_opening)

@@ -66,6 +66,7 @@ class Ur7e(Connected):
         self._opening = 0.0
         self._blocks = 0
         self._last_heard = 0.0, time.monotonic()
+        self._program_stopped = False
 
     def connect(self) -> None:
         """Check the controller's state, start the link, verify payload and TCP. Nothing moves.
@@ -83,6 +84,7 @@ class Ur7e(Connected):
         self.gripper.connect()
         try:
             self._opening = self.gripper.state().opening
+            self._program_stopped, self._stopped_at, self._blocks = False, 0.0, 0
             self._start_link()
         except BaseException:
             self.close()
@@ -104,7 +106,7 @@ class Ur7e(Connected):
                 process.wait()
             if process.stdout is not None:
                 process.stdout.close()
-            if process.returncode != 0:
+            if process.returncode != 0 and not self._program_stopped:
                 self._stop_program()
         self._memory = None
         self.gripper.close()
@@ -288,7 +290,9 @@ class Ur7e(Connected):
         if code is None:
             return
         name = f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
-        self._stop_program()
+        if not self._program_stopped:
+            self._program_stopped = True
+            self._stop_program()
         raise StaleError(
             f"the link to the robot was lost (its process ended with {name}); the robot's program has been stopped",
             "check the cable and the controller, look at the robot, and start again",
@@ -301,11 +305,15 @@ class Ur7e(Connected):
         fault = Fault(int(memory.words["fault"]))
         if fault is Fault.NONE:
             return
+        if fault is Fault.LINK_LOST and self._process is not None:
+            # It leaves at once; its exit says the rest.
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(1.0)
+            self._require_process()
         self.state()
         safety = SAFETY_NAMES.get(int(memory.snapshot()["safety_mode"]), "")
         if safety == "PROTECTIVE_STOP":
-            if not self._stopped_at or time.monotonic() > self._stopped_at + 60:
-                self._stopped_at = time.monotonic()
+            self._stopped_at = self._stopped_at or time.monotonic()
             raise ProtectiveStopError(
                 "the robot made a protective stop", "look why, and clear the way; then acknowledge it"
             )

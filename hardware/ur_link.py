@@ -30,8 +30,10 @@ VARIABLES = (
 PLAYING = 2
 LOOKAHEAD, GAIN = 0.1, 300.0
 """s and the proportional gain of servoj: the smoothest that the controller offers without lagging more."""
-LINK_LOST = 3
-"""Exit code."""
+LINK_LOST, STILL_RUNNING = 3, 4
+"""Exit codes that ask the driver to end the robot's program."""
+END_S = 2.0
+"""How long the client may take to end the program; it waits for ever for a controller that is gone."""
 
 
 def say(**content: Any) -> None:
@@ -181,6 +183,9 @@ class Link:
 
     def end_program(self) -> None:
         """Stop servoing and end the program, in order."""
+        timer = threading.Timer(END_S, leave, [STILL_RUNNING])
+        timer.daemon = True
+        timer.start()
         self.control.servoStop(10.0)
         self.control.stopScript()
 
@@ -205,7 +210,7 @@ def main() -> None:
         link.end_program()
         leave(0)
     link.watch_after(fault)
-    leave(0)
+    leave(0 if fault is Fault.STOPPED else STILL_RUNNING)
 
 
 def leave(code: int) -> None:

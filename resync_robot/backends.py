@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
 
 from hardware.base import Camera, Robot
 from hardware.emulator.camera import EmulatedCamera
 from hardware.emulator.lab import LabClient
 from hardware.realsense import RealSense
+from hardware.replay import ReplayCamera, ReplayRobot, ReplayTruth
 from hardware.robotiq import Robotiq
 from hardware.sim import SimCamera, SimRobot
 from hardware.ur7e import Ur7e, require_controller
+from resync_robot.core.episode import Episode
 from resync_robot.core.errors import ConfigError
-from resync_robot.core.rig import Rig
+from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.core.world import CameraFrame
 from sim_training.mine import is_at_rest
 from sim_training.sensor import NoisySensor
 from sim_training.world import SimWorld
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -69,6 +77,27 @@ class NoisyCamera:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def open_replay(episode: Episode) -> AbstractContextManager[Devices]:
+    """A recorded episode in place of a robot. Raises EpisodeError where it holds too little."""
+    return _Replay(episode)
+
+
+class _Replay(AbstractContextManager[Devices]):
+    def __init__(self, episode: Episode) -> None:
+        self._episode, self._robot = episode, ReplayRobot(episode)
+        self._truth = ReplayTruth(episode, self._robot)
+
+    def __enter__(self) -> Devices:
+        self._robot.connect()
+        names = {*self._episode.cameras, "wrist"}
+        cameras: dict[str, Camera] = {name: ReplayCamera(self._episode, name, self._robot) for name in sorted(names)}
+        return Devices(self._robot, cameras, lambda: self._robot.time, self._truth)
+
+    def __exit__(self, *error: object) -> None:
+        self._robot.close()
+        _log.info("setpoints departed from the recording's by up to %.4f rad", self._robot.departure)
 
 
 def open_simulated(task: Task, rig: Rig) -> AbstractContextManager[SimulatedDevices]:
@@ -126,11 +155,16 @@ class _Ur7eLab(AbstractContextManager[Devices]):
         else:
             self._stack.enter_context(robot)
             for camera in rig.cameras:
-                cameras[camera.name] = self._stack.enter_context(RealSense(rig, camera, robot))
+                pose = partial(_pose_now, rig, camera, robot)
+                cameras[camera.name] = self._stack.enter_context(RealSense(camera, pose))
         return Devices(robot, cameras, robot.clock, truth, robot.acknowledge_stop)
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
+
+
+def _pose_now(rig: Rig, camera: CameraRig, robot: Robot) -> np.ndarray:
+    return rig.camera_pose(camera, robot.state().q)
 
 
 class _Simulated(AbstractContextManager[SimulatedDevices]):

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from hardware.base import ProtectiveStopError
     from resync_robot.backends import Devices
+    from resync_robot.core.episode import Episode
     from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain, Task
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 class DeployConfig:
     """Let a robot, simulated or real, reach a goal with what a library knows."""
 
-    backend: Literal["sim", "ur7e"] = "sim"
+    backend: Literal["sim", "ur7e", "replay"] = "sim"
     """The robot, gripper and cameras to use. Everything above them is the same code."""
 
     library: Path | None = None
@@ -31,6 +32,9 @@ class DeployConfig:
 
     domain: str = "cornered-insertion-s"
     """The domain whose objects and skills are used."""
+
+    replay: Path | None = None
+    """The recording that --backend replay runs over: the same executive, fed with what was recorded."""
 
     scenario: str = "s1"
     """Where the objects of a simulated episode lie, and the goal unless --goal is given."""
@@ -88,7 +92,11 @@ def deploy(config: DeployConfig) -> int:
     domain.scenario(config.scenario)
     library = load_library(config.library or shipped_library(domain.name))
     model = learned_model(domain, rig, library)
-    tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
+    recording = _recording(config)
+    if recording is None:
+        tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
+    else:
+        tasks = [_recorded_task(recording, domain)]
     if config.goal is not None:
         for task in tasks:
             # A goal out of reach is a mistake of whoever typed it: said at once, before anything moves.
@@ -96,7 +104,7 @@ def deploy(config: DeployConfig) -> int:
     folder = RunFolder(config.out or default_folder("deploy"))
     if library.rig_hash != rig.hash:
         say(f"Note: the library was learned on another rig ({library.rig_hash}, this one is {rig.hash}).")
-    simulated = rig.controller is None or rig.controller.emulated
+    simulated = config.backend == "sim" or (rig.controller is not None and rig.controller.emulated)
     noise = " (RGB-D with simulated noise)" if simulated else ""
     say(
         f"Poses from the wrist camera{noise}."
@@ -111,7 +119,7 @@ def deploy(config: DeployConfig) -> int:
     succeeded = 0
     for i, task in enumerate(tasks):
         path = folder.path / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
-        result, reached = _episode(config, rig, library, model, task, i, path)
+        result, reached = _episode(config, rig, library, model, task, i, path, recording)
         if result.end is End.NO_PLAN and not result.transitions:
             raise PlanningError(result.reason, 'give another --goal, such as --goal "On(b1,b0)"')
         succeeded += reached
@@ -130,6 +138,35 @@ def _check_rig(config: DeployConfig, rig: Rig) -> None:
         raise ConfigError("no real robot knows where things are", "use --perception camera")
 
 
+def _recording(config: DeployConfig) -> Episode | None:
+    """What --backend replay runs over. Raises ConfigError or EpisodeError."""
+    from resync_robot.core.episode import read_episode
+
+    if config.backend != "replay":
+        if config.replay is not None:
+            raise ConfigError(f"--replay {config.replay} is for --backend replay", "add --backend replay, or leave it")
+        return None
+    if config.replay is None:
+        raise ConfigError("--backend replay needs a recording", "give one with --replay EPISODE.mcap")
+    if config.episodes != 1:
+        raise ConfigError(f"--episodes is {config.episodes}; a recording holds one")
+    return read_episode(config.replay)
+
+
+def _recorded_task(recording: Episode, domain: Domain) -> Task:
+    """The recorded episode's objects and goal. Raises ConfigError or EpisodeError."""
+    from resync_robot.core.errors import EpisodeError
+    from resync_robot.core.task import Task
+
+    if recording.meta.domain != domain.name:
+        raise ConfigError(f"{recording.path} is of the domain '{recording.meta.domain}'", "name it with --domain")
+    initial = next(iter(recording.truths()), None) or next(iter(recording.states()), None)
+    if initial is None:
+        raise EpisodeError(f"{recording.path} holds no states of objects", "record one with resync-robot deploy")
+    objects = initial[1].objects
+    return Task(objects, initial[1], domain.parse_goal(recording.meta.goal, objects), {}, recording.meta.seed)
+
+
 def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
     from dataclasses import replace
 
@@ -140,11 +177,18 @@ def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
 
 
 def _episode(
-    config: DeployConfig, rig: Rig, library: Library, model: Model, task: Task, index: int, path: Path
+    config: DeployConfig,
+    rig: Rig,
+    library: Library,
+    model: Model,
+    task: Task,
+    index: int,
+    path: Path,
+    recording: Episode | None,
 ) -> tuple[Result, bool]:
     from hardware.base import RobotError
     from resync_robot import __version__
-    from resync_robot.backends import Layout, open_simulated, open_ur7e
+    from resync_robot.backends import Layout, open_replay, open_simulated, open_ur7e
     from resync_robot.core.episode import EpisodeMeta, EventKind
     from resync_robot.core.episode_writer import EpisodeWriter
     from resync_robot.core.errors import MotionError, PerceptionError
@@ -166,11 +210,13 @@ def _episode(
     )
     if config.backend == "sim":
         opened: AbstractContextManager[Devices] = open_simulated(task, rig)
+    elif recording is not None:
+        opened = open_replay(recording)
     else:
         opened = open_ur7e(Layout(config.domain, config.scenario, config.seed, index), rig)
     # The devices come first: where there is no robot, no recording is left behind.
     with opened as devices, EpisodeWriter(path, meta) as writer:
-        standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"]
+        standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"] if recording is None else []
         recorder = Recorder(
             writer,
             devices.clock,

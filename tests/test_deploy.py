@@ -17,7 +17,6 @@ from sim_training.world import SimWorld
 from tests import scenes
 from tests.libraries import DOMAIN, given_library
 
-
 RIG = str(Path(__file__).parents[1] / "hardware" / "emulated.toml")
 
 
@@ -53,6 +52,9 @@ def renderer() -> None:
         (("--seed", "-1"), "--seed is -1"),
         (("--backend", "ur7e"), "no [controller]"),
         (("--backend", "ur7e", "--rig", RIG), "no emulated lab at"),
+        (("--backend", "replay"), "needs a recording"),
+        (("--replay", "x.mcap"), "for --backend replay"),
+        (("--backend", "replay", "--replay", "/nowhere.mcap"), "/nowhere.mcap"),
         (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),
     ],
 )
@@ -122,6 +124,19 @@ def test_a_dry_run_looks_plans_records_and_moves_no_skill(
     assert episode.meta.scenario == "s1" and episode.meta.goal == "On(b1, b0)"
     assert episode.meta.library_hash == given_library().content_hash
     assert next(episode.plans()).steps == ("Pick(r, b1)", "Insert(r, b1, b0)")
+
+
+def test_a_recording_is_run_over_by_the_same_executive(
+    renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = ["--library", str(library), "--perception", "oracle", "--dry-run"]
+    assert cli.main(["deploy", *args, "--out", str(tmp_path / "run")]) == 0
+    first = capsys.readouterr().out
+    (path,) = episodes(tmp_path / "run")
+    assert cli.main(["deploy", *args, "--backend", "replay", "--replay", str(path), "--out", str(tmp_path / "2")]) == 0
+    again = capsys.readouterr().out
+    plans = [[line for line in text.splitlines() if "plan (start)" in line] for text in (first, again)]
+    assert plans[0] == plans[1] != []
 
 
 @pytest.mark.slow
