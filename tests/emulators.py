@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import os
+import socket
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -46,6 +48,25 @@ def emulated(
     controller.wire = []
     with Emulator(controller, address(), gripper or EmulatedGripper(opening, activated=True)) as emulator:
         yield emulator
+
+
+@contextmanager
+def stranger(reply: bytes, then_close: bool = False) -> Iterator[int]:
+    """A server that sends `reply` to everybody; its port."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            try:
+                peer, _ = listener.accept()
+                with peer:
+                    peer.sendall(reply)
+                    while not then_close and peer.recv(1024):
+                        peer.sendall(reply)
+            except OSError:
+                pass
+
+        threading.Thread(target=serve, daemon=True).start()
+        yield listener.getsockname()[1]
 
 
 def need_client() -> None:

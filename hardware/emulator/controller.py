@@ -145,10 +145,12 @@ class Controller:
         """Advance by SERVO_PERIOD."""
         self.ticks += 1
         before = self.commanded
-        if self.program is not None:
-            self.commanded = self.program.tick(self, self.commanded.copy())
-            if self.program.ended:
-                _log.info("the control program ended: %s", self.program.ended)
+        program = self.program
+        if program is not None:
+            self.commanded = program.tick(self, self.commanded.copy())
+            # What it did may have stopped it already.
+            if program.ended and self.program is program:
+                _log.info("the control program ended: %s", program.ended)
                 self.program = None
         else:
             self._brake()

@@ -94,7 +94,7 @@ class ControlProgram:
         if not self._handled:
             self._handled = True
             self._obey(controller, q)
-        return self._move(controller, q)
+        return q if self.ended else self._move(controller, q)
 
     def _double(self, controller: Controller, index: int) -> float:
         return float(controller.inputs.get(f"input_double_register_{self._base + index}", 0.0))
