@@ -14,6 +14,8 @@ from hardware.emulator.server import Emulator
 from hardware.robotiq import Robotiq
 from tests import emulators
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture
 def machine() -> Iterator[Emulator]:

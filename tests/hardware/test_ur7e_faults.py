@@ -25,6 +25,9 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from tests import emulators
 
+pytestmark = pytest.mark.realtime
+
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -51,9 +54,9 @@ def robot(machine: Emulator, rig: Rig) -> Iterator[Ur7e]:
     robot.close()
 
 
-def swing(stream: Stream, rig: Rig, seconds: float) -> None:
-    """Move the first joint to and fro, at up to 0.4 rad/s."""
-    for k in range(round(seconds / 0.02)):
+def swing(stream: Stream, rig: Rig, seconds: float, begin: float = 0.0) -> None:
+    """Move the first joint to and fro, at up to 0.4 rad/s, as from `begin` s of that motion on."""
+    for k in range(round(begin / 0.02), round((begin + seconds) / 0.02)):
         q = rig.arm.home.copy()
         q[0] += 0.2 * np.sin(2 * k * 0.02)
         stream.run(JointTarget(q, 0.1), 0.02)
@@ -67,7 +70,7 @@ def during_motion(robot: Ur7e, rig: Rig, happen: Callable[[], object]) -> BaseEx
     timer.start()
     try:
         with pytest.raises(RobotError) as caught:
-            swing(stream, rig, 8.0)
+            swing(stream, rig, 8.0, begin=0.5)
     finally:
         timer.join()
     return caught.value
@@ -329,7 +332,7 @@ def test_too_much_force_stops_the_stream(machine: Emulator, robot: Ur7e, rig: Ri
         swing(stream, rig, 0.2)
         machine.controller.arm.force[:] = (0.0, 0.0, 400.0)  # type: ignore[attr-defined]
         with pytest.raises(SafetyError, match="force") as caught:
-            swing(stream, rig, 2.0)
+            swing(stream, rig, 2.0, begin=0.2)
         assert caught.value.quantity == "force"
         assert wait_for(lambda: is_still(machine))
 

@@ -17,6 +17,8 @@ from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.core.rig import load_rig
 from tests import emulators
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.mark.parametrize(("where", "word"), [("0.0.0.0", "loopback"), ("192.0.2.1", "loopback"), ("here", "IPv4")])
 def test_only_loopback_is_listened_on(where: str, word: str) -> None:
