@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -21,12 +22,32 @@ class RobotError(ResyncError):
     """The robot, gripper or camera cannot be talked to, or is in a state in which it must not move."""
 
 
+class StaleError(RobotError):
+    """The controller has stopped talking: what it last said is too old to move by."""
+
+
+class ProtectiveStopError(RobotError):
+    """The controller stopped by itself. A person looks why, and acknowledges, before anything moves again."""
+
+
+class StarvedError(RobotError):
+    """Setpoints came too late, and the arm has braked as it was told beforehand.
+
+    Attributes:
+        q: (6,) rad, the setpoint at which it now rests.
+    """
+
+    def __init__(self, q: Float[np.ndarray, "6"]) -> None:
+        super().__init__("setpoints came too late, and the arm braked to rest")
+        self.q = q
+
+
 class SafetyError(MotionError):
     """A setpoint that was refused before it was sent. Nothing of the refused motion reached the robot.
 
     Attributes:
-        quantity: what was violated: 'shape', 'finite', 'position', 'velocity', 'acceleration', 'jerk',
-            'opening', 'opening speed' or 'floor'.
+        quantity: what was violated: 'shape', 'finite', 'position', 'jump', 'velocity', 'acceleration', 'jerk',
+            'opening', 'opening speed', 'floor' or 'force'.
         joint: name of the joint, or 'gripper', 'tip', 'flange'.
         value, limit: what was asked and what is allowed, SI units.
     """
@@ -104,6 +125,38 @@ class Robot(Device, Protocol):
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
         """Cap the joint torques at (6,) N m; None restores the arm's own limits."""
+        ...
+
+
+@runtime_checkable
+class RealtimeRobot(Robot, Protocol):
+    """An arm whose clock does not wait for setpoints: a real one, or a simulation of a real one's controller."""
+
+    @property
+    def speed_fraction(self) -> float:
+        """Share of full speed that the controller allows now (slider, reduced mode): 0 < fraction <= 1.
+
+        Raises RobotError when the slider stands at zero.
+        """
+        ...
+
+    def play(
+        self,
+        setpoints: Float[np.ndarray, "n 6"],
+        openings: Float[np.ndarray, " n"],
+        stop: Float[np.ndarray, "m 6"],
+        after_each: Callable[[], None] | None = None,
+    ) -> None:
+        """Take a block of setpoints (rad, m), one for each SERVO_PERIOD; returns shortly before the last is due.
+
+        Args:
+            stop: the way to rest from the end of the block, played when no other block comes in time; (0, 6) where
+                the block itself ends at rest.
+
+        Raises:
+            StarvedError: the way to rest of the block before had already begun. Nothing of this block was sent.
+            RobotError: the controller stopped, or does not answer.
+        """
         ...
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import SERVO_PERIOD, Robot, SafetyError
+from hardware.base import SERVO_PERIOD, RealtimeRobot, Robot, SafetyError
 from resync_robot.core import kinematics
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import Rig
@@ -36,6 +36,7 @@ class Guard:
 
     def __init__(self, robot: Robot, rig: Rig, table_z: float = 0.0, margin: float = 0.01) -> None:
         self._robot = robot
+        self._realtime = robot if isinstance(robot, RealtimeRobot) else None
         self._rig = rig
         self._floor = table_z - margin
         self._tip_offset = rig.gripper.tip_offset
@@ -47,6 +48,7 @@ class Guard:
             ("acceleration", "rad/s^2", arm.acceleration_limit),
             ("jerk", "rad/s^3", arm.jerk_limit),
         )
+        self._most_force = rig.controller.force_limit if rig.controller is not None else None
         self._past = np.zeros((3, 6))
         self._opening = 0.0
         self.start()
@@ -72,6 +74,10 @@ class Guard:
         self._past[:] = state.q
         self._opening = opening
 
+    def rest_at(self, q: Float[np.ndarray, "6"]) -> None:
+        """Take `q` (rad), at rest, as the last setpoint: where a robot says it has braked to."""
+        self._past[:] = q
+
     def check_target(self, q: Float[np.ndarray, "6"], opening: float) -> None:
         """Refuse a target that could never be sent, whatever the path. Raises SafetyError."""
         q = np.asarray(q, dtype=np.float64)
@@ -84,14 +90,33 @@ class Guard:
         setpoints: Float[np.ndarray, "n 6"],
         openings: Float[np.ndarray, " n"],
         after_each: Callable[[], None] | None = None,
+        stop: Float[np.ndarray, "m 6"] | None = None,
+        braking: bool = False,
     ) -> None:
         """Check the whole block, then send it, one setpoint every SERVO_PERIOD; call `after_each` after each.
 
+        Args:
+            stop: the way to rest from the block's end, for a robot whose clock does not wait; checked like the block.
+            braking: the block leads to rest, and so is sent whatever the tip feels.
+
         Raises:
             SafetyError: a setpoint breaks a limit; nothing of the block was sent.
+            StarvedError: see `RealtimeRobot.play`; nothing of the block was sent.
         """
-        self._check_block(setpoints, openings)
-        self._check_rates(setpoints, openings)
+        whole, hands = setpoints, openings
+        if stop is not None and len(stop):
+            self._check_block(setpoints, openings)
+            whole = np.concatenate([setpoints, stop])
+            hands = np.concatenate([openings, np.full(len(stop), openings[-1] if len(openings) else self._opening)])
+        self._check_block(whole, hands)
+        self._check_rates(whole, hands)
+        if self._realtime is not None:
+            if not braking:
+                self._check_force()
+            self._realtime.play(setpoints, openings, np.empty((0, 6)) if stop is None else stop, after_each)
+            self._past = np.concatenate([self._past, setpoints])[-3:]
+            self._opening = float(openings[-1]) if len(openings) else self._opening
+            return
         servo = self._robot.servo
         for q, opening in zip(setpoints, openings.tolist(), strict=True):
             # Written down first: if the driver raises, the setpoint may already be on its way.
@@ -101,6 +126,17 @@ class Guard:
             servo(q, opening)
             if after_each is not None:
                 after_each()
+
+    def _check_force(self) -> None:
+        if self._most_force is None:
+            return
+        force = float(np.linalg.norm(self._robot.state().tip_force))
+        if force > self._most_force:
+            raise SafetyError(
+                "force", "tip", force, self._most_force,
+                f"the tip feels {force:.0f} N; allowed: {self._most_force:.0f} N",
+                "look what it touches; [controller] force_limit in the rig file sets the limit",
+            )  # fmt: skip
 
     def _check_block(self, setpoints: np.ndarray, openings: np.ndarray) -> None:
         if setpoints.ndim != 2 or setpoints.shape[1] != 6 or openings.shape != setpoints.shape[:1]:

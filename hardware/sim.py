@@ -94,8 +94,8 @@ class SimRobot(Connected):
 
     def state(self) -> RobotState:
         """The measurement after the last physics step, stamped with the time of that step."""
+        self._require_connection()
         if self._measured is None:
-            self._require_connection()
             q, qd, opening, tip_force = self._physics.measure()
             self._measured = RobotState(
                 self._physics.time, np.array(q, float), np.array(qd, float), np.array(tip_force, float), float(opening)

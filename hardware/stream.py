@@ -20,10 +20,10 @@ from collections.abc import Callable
 import numpy as np
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError, Trajectory
 
-from hardware.base import SERVO_PERIOD, Command, Robot, RobotState
+from hardware.base import SERVO_PERIOD, Command, RealtimeRobot, Robot, RobotError, RobotState, SafetyError, StarvedError
 from hardware.safety import MAX_GRIPPER_SPEED, Guard
 from resync_robot.core.errors import MotionError
-from resync_robot.core.joints import JointTarget
+from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import Rig
 
 OVERSHOOT = 1e-3
@@ -33,6 +33,11 @@ MIN_GRIPPER_SPEED = 0.03
 JERK_SHARES = (1.0, 0.999, 0.99, 0.9)
 """Of the jerk limit, tried in turn: the generator's root finding fails where two kinds of profile meet exactly
 (from rest over 2 a^3 / j^2, for one: 0.16 rad here), and another jerk moves that point away."""
+JUMP_SLACK = 0.05
+"""rad by which a target may lie further from the one before than the arm gets at its fastest: lag, and targets that
+are built on the measured pose. Anything further is a mistake of the caller, not a step of a skill."""
+MAX_LATENESS = 20
+"""How often one target may come too late for the robot before that is an error."""
 STILL = 0.02
 """rad/s below which a settled joint counts as at rest."""
 
@@ -68,6 +73,9 @@ class Stream:
             raise MotionError(f"recording at {record_hz} Hz; allowed: 1 to {1 / SERVO_PERIOD:.0f} Hz")
         self.recorders: list[Recorder] = list(recorders or [])
         self._robot = robot
+        self._realtime = robot if isinstance(robot, RealtimeRobot) else None
+        self.late = 0
+        """How often the arm braked because a target came too late; only a robot in real time can."""
         self._guard = guard or Guard(robot, rig)
         self._record_every = round(1.0 / record_hz / SERVO_PERIOD)
         self._since_record = 0
@@ -78,7 +86,7 @@ class Stream:
         self._input.max_acceleration = rig.arm.acceleration_limit.tolist()
         self._jerk = {share: (share * rig.arm.jerk_limit).tolist() for share in JERK_SHARES}
         self._input.target_acceleration = [0.0] * 6
-        self._trajectory = Trajectory(6)
+        self._trajectory, self._way_to_rest = Trajectory(6), Trajectory(6)
         # Stopping from v at jerk j takes the distance v * sqrt(v / j), hence the fastest v for OVERSHOOT.
         self._arrival_limit = np.minimum(
             (OVERSHOOT * np.sqrt(rig.arm.jerk_limit)) ** (2.0 / 3.0), rig.arm.velocity_limit
@@ -88,6 +96,9 @@ class Stream:
     def restart(self) -> None:
         """Begin again where the robot is measured, at rest: after a stop that this stream did not command."""
         self._guard.start()
+        self._rest()
+
+    def _rest(self) -> None:
         here = self._guard.last_sent
         self._position, self._velocity, self._acceleration = here, np.zeros(6), np.zeros(6)
         self._target = JointTarget(here.copy(), self._guard.last_opening)
@@ -98,30 +109,54 @@ class Stream:
         """The last target asked for."""
         return self._target
 
-    def run(self, target: JointTarget, duration: float) -> Command:
+    def run(self, target: JointTarget, duration: float, travel: bool = False) -> Command:
         """Move towards `target` for `duration` seconds of robot time; blocks until its last setpoint is sent.
+
+        A controller that runs at a fraction of full speed (slider, reduced mode) gets the same path in more time.
+
+        Args:
+            travel: the target may lie anywhere; otherwise one that no arm could reach in `duration` is refused.
 
         Returns:
             The last setpoint sent, beside the target that was requested.
 
         Raises:
-            SafetyError: the target or the way to it breaks a limit. The arm has then been braked to rest within its
-                limits; nothing of the refused motion was sent.
+            SafetyError: the target or the way to it breaks a limit, or it is a jump. The arm has then been braked to
+                rest within its limits; nothing of the refused motion was sent.
+            RobotError: the robot stopped, or does not answer.
         """
         count = self._count(duration)
-        try:
-            self._guard.check_target(target.arm, target.opening)
-            arm = np.array(target.arm, dtype=np.float64)
-            velocity = (arm - self._target.arm) / duration
-            self._calculate(arm, self._arrival(velocity), count * SERVO_PERIOD)
-            self._send(target, self._sample(count), self._openings(target.opening, count))
-        except MotionError:
-            self.stop()
-            raise
-        after = self._trajectory.at_time(count * SERVO_PERIOD)
-        self._position, self._velocity, self._acceleration = (np.array(part) for part in after)
-        self._target, self._target_velocity = JointTarget(arm, float(target.opening)), velocity
-        return self._command(target)
+        if self._realtime is not None:
+            count = self._count(duration / self._realtime.speed_fraction)
+        for _ in range(MAX_LATENESS):
+            try:
+                self._guard.check_target(target.arm, target.opening)
+                arm = np.array(target.arm, dtype=np.float64)
+                if not travel:
+                    self._check_jump(arm, count * SERVO_PERIOD)
+                velocity = (arm - self._target.arm) / (count * SERVO_PERIOD)
+                self._calculate(arm, self._arrival(velocity), count * SERVO_PERIOD)
+                after = [np.array(part) for part in self._trajectory.at_time(count * SERVO_PERIOD)]
+                stop = None if self._realtime is None else self._stop_from(*after)
+                self._send(target, self._sample(count), self._openings(target.opening, count), stop)
+            except StarvedError as error:
+                # The arm rests where it braked to; the same target is asked for again from there.
+                self.late += 1
+                self._guard.rest_at(error.q)
+                asked = self._target
+                self._rest()
+                self._target = asked
+                continue
+            except MotionError:
+                self.stop()
+                raise
+            self._position, self._velocity, self._acceleration = after
+            self._target, self._target_velocity = JointTarget(arm, float(target.opening)), velocity
+            return self._command(target)
+        raise RobotError(
+            f"setpoints came too late {MAX_LATENESS} times in a row: this machine is too busy to stream to a robot",
+            "end other programs, or raise the lead in the rig file's [controller]",
+        )
 
     def settle(self, tolerance: float = 2e-3, timeout: float = 3.0) -> bool:
         """Hold the last target until every joint is within `tolerance` rad of it and at rest.
@@ -144,21 +179,42 @@ class Stream:
         Raises:
             SafetyError: even braking would break a limit (the floor, say); the robot then gets no more setpoints.
         """
-        if np.any(self._velocity) or np.any(self._acceleration):
-            plan = self._input
-            plan.control_interface = ControlInterface.Velocity
-            try:
-                self._calculate(np.zeros(6), np.zeros(6), 0.0)
-            finally:
-                plan.control_interface = ControlInterface.Position
-            count = int(np.ceil(self._trajectory.duration / SERVO_PERIOD)) + 1
-            setpoints = self._sample(count)
+        setpoints = self._stop_from(self._position, self._velocity, self._acceleration)
+        if len(setpoints):
             end = JointTarget(setpoints[-1].copy(), self._guard.last_opening)
-            self._send(end, setpoints, np.full(count, self._guard.last_opening))
-            self._position = setpoints[-1].copy()
-        self._velocity, self._acceleration = np.zeros(6), np.zeros(6)
-        self._target = JointTarget(self._position.copy(), self._guard.last_opening)
-        self._target_velocity = np.zeros(6)
+            try:
+                self._send(end, setpoints, np.full(len(setpoints), self._guard.last_opening), braking=True)
+            except StarvedError as error:
+                self._guard.rest_at(error.q)
+        self._rest()
+
+    def _stop_from(self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """(n, 6) setpoints to rest as fast as the limits allow; none where the arm is at rest already."""
+        if not (np.any(velocity) or np.any(acceleration)):
+            return np.empty((0, 6))
+        plan = self._input
+        plan.control_interface = ControlInterface.Velocity
+        before = self._position, self._velocity, self._acceleration
+        self._position, self._velocity, self._acceleration = position, velocity, acceleration
+        try:
+            self._calculate(np.zeros(6), np.zeros(6), 0.0, self._way_to_rest)
+        finally:
+            plan.control_interface = ControlInterface.Position
+            self._position, self._velocity, self._acceleration = before
+        count = int(np.ceil(self._way_to_rest.duration / SERVO_PERIOD)) + 1
+        return self._sample(count, self._way_to_rest)
+
+    def _check_jump(self, arm: np.ndarray, seconds: float) -> None:
+        allowed = np.asarray(self._input.max_velocity) * seconds + JUMP_SLACK
+        jump = np.abs(arm - self._target.arm)
+        joint = int(np.argmax(jump - allowed))
+        if jump[joint] > allowed[joint]:
+            raise SafetyError(
+                "jump", ARM_JOINTS[joint], float(jump[joint]), float(allowed[joint]),
+                f"{ARM_JOINTS[joint]} is asked to jump by {jump[joint]:.3f} rad from the last target; "
+                f"allowed within {seconds:.3f} s: {allowed[joint]:.3f} rad",
+                "ask for nearer targets, or for a travel",
+            )  # fmt: skip
 
     def _count(self, duration: float) -> int:
         if not (np.isfinite(duration) and SERVO_PERIOD <= duration <= 60.0):
@@ -171,7 +227,7 @@ class Stream:
         agree = velocity * self._target_velocity > 0
         return np.where(agree, np.sign(velocity) * np.minimum(slower, self._arrival_limit), 0.0)
 
-    def _calculate(self, arm: np.ndarray, arrival: np.ndarray, at_least: float) -> None:
+    def _calculate(self, arm: np.ndarray, arrival: np.ndarray, at_least: float, into: Trajectory | None = None) -> None:
         plan = self._input
         plan.current_position = self._position.tolist()
         plan.current_velocity = self._velocity.tolist()
@@ -183,7 +239,7 @@ class Stream:
         for share in JERK_SHARES:
             plan.max_jerk = self._jerk[share]
             try:
-                result = self._planner.calculate(plan, self._trajectory)
+                result = self._planner.calculate(plan, into or self._trajectory)
             except RuckigError as error:
                 failure = str(error).strip().splitlines()[0]
                 continue
@@ -192,8 +248,8 @@ class Stream:
             failure = result.name
         raise MotionError(f"no trajectory to the target {np.array2string(arm, precision=4)} rad: {failure}")
 
-    def _sample(self, count: int) -> np.ndarray:
-        at_time = self._trajectory.at_time
+    def _sample(self, count: int, trajectory: Trajectory | None = None) -> np.ndarray:
+        at_time = (trajectory or self._trajectory).at_time
         return np.array([at_time(k * SERVO_PERIOD)[0] for k in range(1, count + 1)])
 
     def _openings(self, wanted: float, count: int) -> np.ndarray:
@@ -201,11 +257,14 @@ class Stream:
         reach = self._gripper_step * np.arange(1, count + 1)
         return np.clip(wanted, start - reach, start + reach)
 
-    def _send(self, requested: JointTarget, setpoints: np.ndarray, openings: np.ndarray) -> None:
-        if not self.recorders:
-            self._guard.send(setpoints, openings)
-            return
-
+    def _send(
+        self,
+        requested: JointTarget,
+        setpoints: np.ndarray,
+        openings: np.ndarray,
+        stop: np.ndarray | None = None,
+        braking: bool = False,
+    ) -> None:
         def record() -> None:
             self._since_record += 1
             if self._since_record >= self._record_every:
@@ -214,7 +273,7 @@ class Stream:
                 for recorder in self.recorders:
                     recorder(state, command)
 
-        self._guard.send(setpoints, openings, after_each=record)
+        self._guard.send(setpoints, openings, record if self.recorders else None, stop, braking)
 
     def _command(self, requested: JointTarget) -> Command:
         sent = JointTarget(self._guard.last_sent, self._guard.last_opening)

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
 
 from hardware.base import Camera, Robot
+from hardware.emulator.camera import EmulatedCamera
+from hardware.emulator.lab import LabClient
+from hardware.realsense import RealSense
+from hardware.replay import ReplayCamera, ReplayRobot, ReplayTruth
+from hardware.robotiq import Robotiq
 from hardware.sim import SimCamera, SimRobot
+from hardware.ur7e import Ur7e, require_controller
+from resync_robot.core.episode import Episode
 from resync_robot.core.errors import ConfigError
-from resync_robot.core.rig import Rig
+from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.core.world import CameraFrame
@@ -17,15 +28,31 @@ from sim_training.mine import is_at_rest
 from sim_training.sensor import NoisySensor
 from sim_training.world import SimWorld
 
+_log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class Devices:
-    """An opened backend. `truth` is the simulator's own state, for scoring and for labelled use only."""
+    """An opened backend.
+
+    Attributes:
+        clock: s on the robot's clock now.
+        truth: the simulator's own state, for scoring and for labelled use only; None at a real robot.
+        resume: what to do once a person has acknowledged a protective stop; None where there are none.
+    """
 
     robot: Robot
     cameras: dict[str, Camera]
+    clock: Callable[[], float]
+    truth: Callable[[], State] | None
+    resume: Callable[[], None] | None = None
+
+
+@dataclass(frozen=True)
+class SimulatedDevices(Devices):
+    """Those of a simulator, which always knows the truth."""
+
     truth: Callable[[], State]
-    world: SimWorld
 
 
 class NoisyCamera:
@@ -52,7 +79,28 @@ class NoisyCamera:
         self.close()
 
 
-def open_simulated(task: Task, rig: Rig) -> AbstractContextManager[Devices]:
+def open_replay(episode: Episode) -> AbstractContextManager[Devices]:
+    """A recorded episode in place of a robot. Raises EpisodeError where it holds too little."""
+    return _Replay(episode)
+
+
+class _Replay(AbstractContextManager[Devices]):
+    def __init__(self, episode: Episode) -> None:
+        self._episode, self._robot = episode, ReplayRobot(episode)
+        self._truth = ReplayTruth(episode, self._robot)
+
+    def __enter__(self) -> Devices:
+        self._robot.connect()
+        names = {*self._episode.cameras, "wrist"}
+        cameras: dict[str, Camera] = {name: ReplayCamera(self._episode, name, self._robot) for name in sorted(names)}
+        return Devices(self._robot, cameras, lambda: self._robot.time, self._truth)
+
+    def __exit__(self, *error: object) -> None:
+        self._robot.close()
+        _log.info("setpoints departed from the recording's by up to %.4f rad", self._robot.departure)
+
+
+def open_simulated(task: Task, rig: Rig) -> AbstractContextManager[SimulatedDevices]:
     """A simulated robot in the task's world, with noisy cameras.
 
     Raises:
@@ -62,11 +110,68 @@ def open_simulated(task: Task, rig: Rig) -> AbstractContextManager[Devices]:
     return _Simulated(task, rig)
 
 
-class _Simulated(AbstractContextManager[Devices]):
+@dataclass(frozen=True)
+class Layout:
+    """Which scene an emulated lab is asked to lay out; a person does so at a real one."""
+
+    domain: str
+    scenario: str
+    seed: int
+    episode: int
+
+
+def open_ur7e(layout: Layout, rig: Rig) -> AbstractContextManager[Devices]:
+    """The UR7e of the rig, with its gripper and cameras, real or emulated.
+
+    Raises:
+        RobotError: no machine answers, or it must not move: one sentence, and what to do.
+    """
+    return _Ur7eLab(layout, rig)
+
+
+class _Ur7eLab(AbstractContextManager[Devices]):
+    def __init__(self, layout: Layout, rig: Rig) -> None:
+        self._layout, self._rig, self._stack = layout, rig, ExitStack()
+
+    def __enter__(self) -> Devices:
+        try:
+            return self._open()
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def _open(self) -> Devices:
+        rig, controller = self._rig, require_controller(self._rig)
+        cameras: dict[str, Camera] = {}
+        truth: Callable[[], State] | None = None
+        robot = Ur7e(rig, Robotiq(controller.address))
+        if controller.emulated:
+            lab = self._stack.enter_context(LabClient(controller.address))
+            lab.lay_out(self._layout.domain, self._layout.scenario, self._layout.seed, self._layout.episode)
+            truth = lab.truth
+            self._stack.enter_context(robot)
+            for camera in rig.cameras:
+                cameras[camera.name] = self._stack.enter_context(EmulatedCamera(lab, rig, camera, robot))
+        else:
+            self._stack.enter_context(robot)
+            for camera in rig.cameras:
+                pose = partial(_pose_now, rig, camera, robot)
+                cameras[camera.name] = self._stack.enter_context(RealSense(camera, pose))
+        return Devices(robot, cameras, robot.clock, truth, robot.acknowledge_stop)
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+
+def _pose_now(rig: Rig, camera: CameraRig, robot: Robot) -> np.ndarray:
+    return rig.camera_pose(camera, robot.state().q)
+
+
+class _Simulated(AbstractContextManager[SimulatedDevices]):
     def __init__(self, task: Task, rig: Rig) -> None:
         self._task, self._rig, self._stack = task, rig, ExitStack()
 
-    def __enter__(self) -> Devices:
+    def __enter__(self) -> SimulatedDevices:
         world = SimWorld(self._task, self._rig, rendered=True)
         if not is_at_rest(world):
             raise ConfigError(f"the scene of seed {self._task.seed} does not stand still", "take another --seed")
@@ -75,7 +180,7 @@ class _Simulated(AbstractContextManager[Devices]):
         for i, camera in enumerate(self._rig.cameras):
             sensor = NoisySensor(self._task.seed * 10 + i, camera)
             cameras[camera.name] = self._stack.enter_context(NoisyCamera(SimCamera(world, camera.name), sensor))
-        return Devices(robot, cameras, world.perceive, world)
+        return SimulatedDevices(robot, cameras, lambda: world.time, world.perceive)
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()

@@ -1,4 +1,4 @@
-"""The command line: six sub-commands, one clear message for what goes wrong, nothing else.
+"""The command line: its sub-commands, one clear message for what goes wrong, nothing else.
 
 Each command is a settings dataclass and a function beside it. The modules imported here load nothing heavy
 before their function runs, so that --help answers at once.
@@ -20,6 +20,7 @@ from resync_robot.calibrate import CalibrateConfig, calibrate
 from resync_robot.core.errors import ResyncError
 from resync_robot.deploy import DeployConfig, deploy
 from resync_robot.doctor import DoctorConfig, doctor
+from resync_robot.emulate import EmulateConfig, emulate
 from resync_robot.evaluate import EvaluateConfig, evaluate
 from resync_robot.review import ReviewConfig, review
 from resync_robot.train import TrainConfig, train
@@ -27,6 +28,7 @@ from resync_robot.train import TrainConfig, train
 COMMANDS: dict[str, tuple[type, Callable[[Any], int | None]]] = {
     "train-sim": (TrainConfig, train),
     "deploy": (DeployConfig, deploy),
+    "emulate": (EmulateConfig, emulate),
     "evaluate": (EvaluateConfig, evaluate),
     "review": (ReviewConfig, review),
     "calibrate": (CalibrateConfig, calibrate),
@@ -92,7 +94,7 @@ def _run(argv: Sequence[str] | None) -> int:
             {name: settings for name, (settings, _) in COMMANDS.items()},
             prog="resync-robot",
             description=DESCRIPTION,
-            args=gather([a for a in args if a not in verbose], "--library"),
+            args=gather(gather([a for a in args if a not in verbose], "--library"), "--fault"),
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitSubcommandPrefixes),
         )
         run = next(function for settings, function in COMMANDS.values() if settings is type(config))

@@ -9,6 +9,11 @@ from typing import TYPE_CHECKING, Literal
 from resync_robot.core.errors import ConfigError, PlanningError
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from hardware.base import ProtectiveStopError
+    from resync_robot.backends import Devices
+    from resync_robot.core.episode import Episode
     from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain, Task
@@ -19,7 +24,7 @@ if TYPE_CHECKING:
 class DeployConfig:
     """Let a robot, simulated or real, reach a goal with what a library knows."""
 
-    backend: Literal["sim", "ur7e"] = "sim"
+    backend: Literal["sim", "ur7e", "replay"] = "sim"
     """The robot, gripper and cameras to use. Everything above them is the same code."""
 
     library: Path | None = None
@@ -27,6 +32,9 @@ class DeployConfig:
 
     domain: str = "cornered-insertion-s"
     """The domain whose objects and skills are used."""
+
+    replay: Path | None = None
+    """The recording that --backend replay runs over: the same executive, fed with what was recorded."""
 
     scenario: str = "s1"
     """Where the objects of a simulated episode lie, and the goal unless --goal is given."""
@@ -74,17 +82,21 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.run_folder import check_folder, default_folder
     from sim_training.domains import find_domain
 
-    if config.backend != "sim":
-        raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
     if config.episodes < 1:
         raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
     if config.seed < 0:
         raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
     domain, rig = find_domain(config.domain), load_rig(config.rig)
+    if config.backend == "ur7e":
+        _check_rig(config, rig)
     domain.scenario(config.scenario)
     library = load_library(config.library or shipped_library(domain.name))
     model = learned_model(domain, rig, library)
-    tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
+    recording = _recording(config)
+    if recording is None:
+        tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
+    else:
+        tasks = [_recorded_task(recording, domain)]
     if config.goal is not None:
         for task in tasks:
             # A goal out of reach is a mistake of whoever typed it: said at once, before anything moves.
@@ -95,19 +107,22 @@ def deploy(config: DeployConfig) -> int:
         say(f"Note: the library was learned on another rig ({library.rig_hash}, this one is {rig.hash}).")
     for line in calibration_complaints(config, rig):
         say(f"Warning: {line}.\n  -> resync-robot calibrate check --rig {config.rig or 'rig.toml'}")
+    simulated = config.backend == "sim" or (rig.controller is not None and rig.controller.emulated)
+    noise = " (RGB-D with simulated noise)" if simulated else ""
     say(
-        "Poses from the wrist camera (RGB-D with simulated noise)."
+        f"Poses from the wrist camera{noise}."
         if config.perception == "camera"
         else "Poses from the simulator (--perception oracle)."
     )
-    say(
-        f"{domain.recovery} follows its block through the simulator's state while it runs; "
-        "everything else is estimated."
-    )
+    if simulated:
+        say(
+            f"{domain.recovery} follows its block through the simulator's state while it runs; "
+            "everything else is estimated."
+        )
     succeeded = 0
     for i, task in enumerate(tasks):
         path = folder / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
-        result, reached = _episode(config, rig, library, model, task, path)
+        result, reached = _episode(config, rig, library, model, task, i, path, recording)
         if result.end is End.NO_PLAN and not result.transitions:
             raise PlanningError(result.reason, 'give another --goal, such as --goal "On(b1,b0)"')
         succeeded += reached
@@ -130,6 +145,44 @@ def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:
     return complaints(records, rig.calibration_limits, date.today(), expected=config.backend != "sim")
 
 
+def _check_rig(config: DeployConfig, rig: Rig) -> None:
+    """What the ur7e backend needs to know before anything is read or moved. Raises RobotError or ConfigError."""
+    from hardware.ur7e import require_controller
+
+    emulated = require_controller(rig).emulated
+    if not emulated and config.perception == "oracle":
+        raise ConfigError("no real robot knows where things are", "use --perception camera")
+
+
+def _recording(config: DeployConfig) -> Episode | None:
+    """What --backend replay runs over. Raises ConfigError or EpisodeError."""
+    from resync_robot.core.episode import read_episode
+
+    if config.backend != "replay":
+        if config.replay is not None:
+            raise ConfigError(f"--replay {config.replay} is for --backend replay", "add --backend replay, or leave it")
+        return None
+    if config.replay is None:
+        raise ConfigError("--backend replay needs a recording", "give one with --replay EPISODE.mcap")
+    if config.episodes != 1:
+        raise ConfigError(f"--episodes is {config.episodes}; a recording holds one")
+    return read_episode(config.replay)
+
+
+def _recorded_task(recording: Episode, domain: Domain) -> Task:
+    """The recorded episode's objects and goal. Raises ConfigError or EpisodeError."""
+    from resync_robot.core.errors import EpisodeError
+    from resync_robot.core.task import Task
+
+    if recording.meta.domain != domain.name:
+        raise ConfigError(f"{recording.path} is of the domain '{recording.meta.domain}'", "name it with --domain")
+    initial = next(iter(recording.truths()), None) or next(iter(recording.states()), None)
+    if initial is None:
+        raise EpisodeError(f"{recording.path} holds no states of objects", "record one with resync-robot deploy")
+    objects = initial[1].objects
+    return Task(objects, initial[1], domain.parse_goal(recording.meta.goal, objects), {}, recording.meta.seed)
+
+
 def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
     from dataclasses import replace
 
@@ -140,12 +193,19 @@ def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
 
 
 def _episode(
-    config: DeployConfig, rig: Rig, library: Library, model: Model, task: Task, path: Path
+    config: DeployConfig,
+    rig: Rig,
+    library: Library,
+    model: Model,
+    task: Task,
+    index: int,
+    path: Path,
+    recording: Episode | None,
 ) -> tuple[Result, bool]:
     from hardware.base import RobotError
     from resync_robot import __version__
-    from resync_robot.backends import open_simulated
-    from resync_robot.core.episode import EpisodeMeta
+    from resync_robot.backends import Layout, open_replay, open_simulated, open_ur7e
+    from resync_robot.core.episode import EpisodeMeta, EventKind
     from resync_robot.core.episode_writer import EpisodeWriter
     from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
@@ -164,18 +224,34 @@ def _episode(
         backend=config.backend,
         versions={"resync-robot": __version__},
     )
-    with EpisodeWriter(path, meta) as writer, open_simulated(task, rig) as devices:
-        standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"]
+    if config.backend == "sim":
+        opened: AbstractContextManager[Devices] = open_simulated(task, rig)
+    elif recording is not None:
+        opened = open_replay(recording)
+    else:
+        opened = open_ur7e(Layout(config.domain, config.scenario, config.seed, index), rig)
+    # The devices come first: where there is no robot, no recording is left behind.
+    with opened as devices, EpisodeWriter(path, meta) as writer:
+        standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"] if recording is None else []
         recorder = Recorder(
             writer,
-            lambda: devices.world.time,
+            devices.clock,
             devices.truth,
             lambda: [c.capture() for c in standing],
             confirm=lambda step: _may_run(config, str(step)),
             tell=say,
         )
         kind = DeployedWorld if config.perception == "camera" else OracleWorld
-        world = kind(devices.robot, devices.cameras["wrist"], rig, task.objects, devices.truth, recorder.on_scan)
+
+        def on_stop(error: ProtectiveStopError) -> None:
+            writer.event(devices.clock(), EventKind.STOP, error.what)
+            if devices.resume is None or not _acknowledged(error):
+                raise error
+            devices.resume()
+
+        world = kind(
+            devices.robot, devices.cameras["wrist"], rig, task.objects, devices.truth, recorder.on_scan, on_stop
+        )
         world.stream.recorders.append(recorder.on_stream)
 
         say(f"Goal: {goal}")
@@ -184,8 +260,12 @@ def _episode(
         except (PerceptionError, MotionError, RobotError) as error:
             # One episode's trouble is recorded with it and leaves the others their turn.
             recorder.on_end(End.FAULT, error.what)
-            result = Result(End.FAULT, error.what, (), (), devices.truth())
-        reached = result.success and task.goal <= model.abstraction.true_atoms(devices.truth())
+            result = Result(End.FAULT, error.what, (), (), task.initial)
+        if devices.truth is None:
+            reached = result.success
+        else:
+            # What the robot believes at the end does not count where the truth can be had.
+            reached = result.success and task.goal <= model.abstraction.true_atoms(devices.truth())
     return result, reached
 
 
@@ -200,3 +280,14 @@ def _may_run(config: DeployConfig, step: str) -> bool:
         raise ConfigError(
             "--confirm asks before each step, and there is no terminal to answer", "drop --confirm"
         ) from None
+
+
+def _acknowledged(error: ProtectiveStopError) -> bool:
+    """Ask whoever stands at the robot. Without a terminal to answer, nothing is ever acknowledged."""
+    from resync_robot.progress import say
+
+    say(f"STOP: {error.what}. Look at the robot, and clear what stopped it.")
+    try:
+        return input("Type 'clear' to release the stop and go on, anything else to end: ").strip().lower() == "clear"
+    except EOFError:
+        return False

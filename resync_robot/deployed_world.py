@@ -6,16 +6,17 @@ Simulated or real, this is the same code; the robot and the cameras behind it ar
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
-from hardware.base import Camera, Robot
+from hardware.base import Camera, ProtectiveStopError, Robot
 from hardware.stream import Stream
 from hardware.travel import travel
 from perception.belief import Belief, MissingObjectsError
 from perception.scan import Scan
 from resync_robot.core import kinematics, spatial
-from resync_robot.core.errors import PerceptionError
+from resync_robot.core.errors import InterruptedMotionError, PerceptionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
@@ -37,6 +38,8 @@ class DeployedWorld:
             deployment has none, and such a skill then raises PerceptionError. The simulated backend may hand in the
             simulator's state, and says so.
         on_scan: called with the pictures and the estimate of every scan.
+        on_stop: called when the robot has made a protective stop; it asks a person, and returns when the robot may
+            go on, or raises. Without it a protective stop ends the episode.
     """
 
     def __init__(
@@ -47,7 +50,9 @@ class DeployedWorld:
         objects: Sequence[Object],
         live_state: Callable[[], State] | None = None,
         on_scan: Scanned | None = None,
+        on_stop: Callable[[ProtectiveStopError], None] | None = None,
     ) -> None:
+        self._on_stop = on_stop
         self.robot, self.rig, self._wrist = robot, rig, wrist
         self.stream = Stream(robot, rig)
         self.scan = Scan(rig)
@@ -76,7 +81,18 @@ class DeployedWorld:
         return Observation(measured.time, measured.q, measured.qd, measured.opening, measured.tip_force, state)
 
     def act(self, target: JointTarget, duration: float) -> None:
-        self.stream.run(target, duration)
+        try:
+            self.stream.run(target, duration)
+        except ProtectiveStopError as error:
+            self._resume(error)
+
+    def _resume(self, error: ProtectiveStopError) -> None:
+        """Have the stop acknowledged, and begin again where the arm is measured. Raises, whatever happens."""
+        if self._on_stop is None:
+            raise error
+        self._on_stop(error)
+        self.stream.restart()
+        raise InterruptedMotionError("the robot made a protective stop, which was acknowledged") from error
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
         self.robot.limit_effort(limit)
@@ -92,8 +108,12 @@ class DeployedWorld:
             before, self._held = self._held, self.belief.held
             if before is None and self._held is not None:
                 return believed
-        self._lift()
-        frames = self.scan(self._travel, self._wrist.capture)
+        try:
+            frames = self._look_around()
+        except ProtectiveStopError as stop:
+            with suppress(InterruptedMotionError):
+                self._resume(stop)
+            frames = self._look_around()
         self.scans += 1
         features = self._features()
         try:
@@ -108,6 +128,10 @@ class DeployedWorld:
         if self._on_scan:
             self._on_scan(frames, state)
         return state
+
+    def _look_around(self) -> list[CameraFrame]:
+        self._lift()
+        return self.scan(self._travel, self._wrist.capture)
 
     def _features(self) -> np.ndarray:
         measured = self.robot.state()

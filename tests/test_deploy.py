@@ -20,6 +20,8 @@ from sim_training.world import SimWorld
 from tests import scenes
 from tests.libraries import DOMAIN, given_library
 
+RIG = str(Path(__file__).parents[1] / "hardware" / "emulated.toml")
+
 
 @pytest.fixture
 def library(tmp_path: Path) -> Path:
@@ -51,7 +53,11 @@ def renderer() -> None:
         (("--rig", "/nowhere.toml"), "/nowhere.toml"),
         (("--episodes", "0"), "--episodes is 0"),
         (("--seed", "-1"), "--seed is -1"),
-        (("--backend", "ur7e"), "ur7e"),
+        (("--backend", "ur7e"), "no [controller]"),
+        (("--backend", "ur7e", "--rig", RIG), "no emulated lab at"),
+        (("--backend", "replay"), "needs a recording"),
+        (("--replay", "x.mcap"), "for --backend replay"),
+        (("--backend", "replay", "--replay", "/nowhere.mcap"), "/nowhere.mcap"),
         (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),
     ],
 )
@@ -69,6 +75,10 @@ def test_bad_input_is_one_error_with_code_2(
     shown = capsys.readouterr()
     assert shown.err.startswith("error: ") and word in shown.err
     assert "Traceback" not in shown.err
+    if "no emulated lab" in word:
+        # Found out only when the first episode begins, and nothing of it is recorded.
+        assert not list(tmp_path.rglob("*.mcap"))
+        return
     assert shown.out == ""
     assert [p.name for p in tmp_path.iterdir()] == ["library"], "nothing may be left behind"
 
@@ -132,6 +142,19 @@ def test_without_a_vulkan_device_physics_goes_on_and_pictures_are_one_error(libr
     assert "install_vulkan.sh" in deployed.stderr and "Traceback" not in deployed.stderr
     evaluated = run("evaluate", "--scenarios", "s4", "--methods", "initial", "--episodes", "1", "--workers", "1")
     assert evaluated.returncode == 0, evaluated.stderr
+
+
+def test_a_recording_is_run_over_by_the_same_executive(
+    renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = ["--library", str(library), "--perception", "oracle", "--dry-run"]
+    assert cli.main(["deploy", *args, "--out", str(tmp_path / "run")]) == 0
+    first = capsys.readouterr().out
+    (path,) = episodes(tmp_path / "run")
+    assert cli.main(["deploy", *args, "--backend", "replay", "--replay", str(path), "--out", str(tmp_path / "2")]) == 0
+    again = capsys.readouterr().out
+    plans = [[line for line in text.splitlines() if "plan (start)" in line] for text in (first, again)]
+    assert plans[0] == plans[1] != []
 
 
 @pytest.mark.slow

@@ -51,6 +51,10 @@ class MotionError(ResyncError):
     """A target outside the arm's reach or limits."""
 
 
+class InterruptedMotionError(MotionError):
+    """The robot had to stop in the middle of a motion, and may move again: look anew, plan anew."""
+
+
 class PerceptionError(ResyncError):
     """An image or estimate that cannot be used."""
 

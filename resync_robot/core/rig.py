@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import ipaddress
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -76,6 +77,30 @@ class CameraRig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ControllerRig:
+    """How to talk to the arm's controller and its gripper; only a rig with a real or emulated machine has this.
+
+    Attributes:
+        address: IPv4 address of the controller; the gripper's socket is on the same one.
+        payload: kg of gripper and cameras; `payload_centre` (3,) m in the frame of the flange.
+        lead: s of setpoints that are queued ahead; more bears a busier computer, and adds as much delay.
+        freshness: s after which a state of the robot is too old to move by.
+        watchdog: Hz at which the controller must hear from us, or it stops by itself.
+        force_limit: N at the tip above which no motion is sent.
+        emulated: an emulator stands behind the address, which also lays out scenes and gives pictures.
+    """
+
+    address: str
+    payload: float
+    payload_centre: np.ndarray
+    lead: float
+    freshness: float
+    watchdog: float
+    force_limit: float
+    emulated: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class Rig:
     """Everything above, read from one TOML file; `hash` names that content in libraries and recordings."""
 
@@ -86,6 +111,7 @@ class Rig:
     cameras: tuple[CameraRig, ...]
     hash: str
     calibration_limits: CalibrationLimits = CalibrationLimits()
+    controller: ControllerRig | None = None
 
     def tip_pose(self, q: Float[np.ndarray, "*b 6"]) -> Float[np.ndarray, "*b 4 4"]:
         """world_T_tip at (..., 6) joint positions in rad."""
@@ -95,6 +121,12 @@ class Rig:
         """The robot's features in a state: pose of the tip in the world, and the opening in m."""
         return np.concatenate([spatial.features_from_pose(self.tip_pose(q)), [opening]])
 
+    def camera_pose(self, camera: CameraRig, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
+        """world_T_cam of a camera of this rig, on the flange or in the world, at (6,) joint positions in rad."""
+        if camera.mount == "world":
+            return camera.pose
+        return self.arm.world_T_base @ kinematics.forward(q) @ camera.pose
+
     def camera(self, name: str) -> CameraRig:
         for camera in self.cameras:
             if camera.name == name:
@@ -102,7 +134,15 @@ class Rig:
         raise UnknownNameError("camera", name, [c.name for c in self.cameras])
 
 
-_VECTORS = {"world_T_base": 7, "pose": 7, "home": 6, "velocity_limit": 6, "acceleration_limit": 6, "jerk_limit": 6}
+_VECTORS = {
+    "payload_centre": 3,
+    "world_T_base": 7,
+    "pose": 7,
+    "home": 6,
+    "velocity_limit": 6,
+    "acceleration_limit": 6,
+    "jerk_limit": 6,
+}
 _ARM = ("model", "world_T_base", "home", "velocity_limit", "acceleration_limit", "jerk_limit")
 _GRIPPER = ("model", "tip_offset", "max_opening", "max_force", "finger_thickness", "finger_width")
 _CAMERA = (
@@ -119,7 +159,27 @@ _CAMERA = (
     "position_sigma",
     "rotation_sigma",
 )
-_TEXT = ("model", "name", "mount", "serial", "provenance")
+_CONTROLLER = (
+    "address",
+    "payload",
+    "payload_centre",
+    "lead",
+    "freshness",
+    "watchdog",
+    "force_limit",
+    "emulated",
+)
+_TEXT = ("address", "model", "name", "mount", "serial", "provenance")
+
+
+# What the UR7e's data sheet and the driver allow: kg, s, s, Hz, N.
+_RANGES = {
+    "payload": (0.0, 7.5),
+    "lead": (0.004, 0.2),
+    "freshness": (0.02, 0.5),
+    "watchdog": (2.0, 100.0),
+    "force_limit": (10.0, 500.0),
+}
 
 
 def load_rig(path: Path | None = None) -> Rig:
@@ -164,7 +224,7 @@ def load_rig(path: Path | None = None) -> Rig:
             table = {k: v for k, v in table.items() if k != "calibration"}
         return CameraRig(**section(table, _CAMERA, title), calibration=record)
 
-    tables = ("arm", "gripper", "cameras", "calibration_limits")
+    tables = ("arm", "gripper", "cameras", "calibration_limits", "controller")
     top = section({k: v for k, v in data.items() if k not in tables}, ("name", "provenance"), "")
     cameras = data.get("cameras")
     if not isinstance(cameras, list) or not cameras:
@@ -177,6 +237,9 @@ def load_rig(path: Path | None = None) -> Rig:
         cameras=tuple(camera(table, f"cameras.{i}") for i, table in enumerate(cameras)),
         hash=hashlib.sha256(text.encode()).hexdigest()[:16],
         calibration_limits=read_limits(data.get("calibration_limits", {}), f"{where}: [calibration_limits]"),
+        controller=(
+            ControllerRig(**section(data["controller"], _CONTROLLER, "controller")) if "controller" in data else None
+        ),
     )
 
 
@@ -184,6 +247,11 @@ def _field(value: Any, name: str, where: str) -> Any:
     if name in _TEXT:
         if not isinstance(value, str):
             raise ConfigError(f"{where} must be text, not {value!r}")
+        if name == "address":
+            try:
+                return str(ipaddress.IPv4Address(value))
+            except ValueError:
+                raise ConfigError(f"{where} is '{value}'", "give an IPv4 address such as 192.168.1.10") from None
         if name == "mount" and value not in ("flange", "world"):
             raise ConfigError(f"{where} is '{value}'", "allowed: flange, world")
         return value
@@ -200,6 +268,10 @@ def _field(value: Any, name: str, where: str) -> Any:
         if name.endswith("_limit") and np.any(vector <= 0):
             raise ConfigError(f"{where} must be positive")
         return vector
+    if name == "emulated":
+        if not isinstance(value, bool):
+            raise ConfigError(f"{where} must be true or false, not {value!r}")
+        return value
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise ConfigError(f"{where} must be a number, not {value!r}")
     if name in ("width", "height"):
@@ -208,4 +280,6 @@ def _field(value: Any, name: str, where: str) -> Any:
         return int(value)
     if value < 0:
         raise ConfigError(f"{where} must not be negative")
+    if name in _RANGES and not _RANGES[name][0] <= value <= _RANGES[name][1]:
+        raise ConfigError(f"{where} is {value}", f"allowed: {_RANGES[name][0]} to {_RANGES[name][1]}")
     return float(value)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
-from resync_robot.core.errors import PlanningError, UnknownNameError
+from resync_robot.core.errors import InterruptedMotionError, PlanningError, UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
 from resync_robot.core.state import State
@@ -202,7 +202,11 @@ def run_skill(world: World, ground: GroundSkill, listener: Listener | None = Non
         if isinstance(answer, Outcome):
             break
         listener.on_control(observation, answer)
-        world.act(answer, 1.0 / skill.rate_hz)
+        try:
+            world.act(answer, 1.0 / skill.rate_hz)
+        except InterruptedMotionError as error:
+            answer = Outcome(Ending.BLOCKED, error.what)
+            break
         observation = world.observe(skill.live_state)
         if observation.time > deadline:
             answer = Outcome(Ending.TIMEOUT, f"not done after {skill.time_limit_s:.0f} s")

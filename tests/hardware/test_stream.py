@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from hardware.base import SERVO_PERIOD, SafetyError
 from hardware.sim import SimRobot
-from hardware.stream import OVERSHOOT, Stream
+from hardware.stream import JUMP_SLACK, OVERSHOOT, Stream
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
 
@@ -36,7 +36,12 @@ def assert_within_limits(robot, rig):
 
 @given(
     st.lists(
-        st.tuples(arrays(float, 6, elements=st.floats(-0.4, 0.4)), st.sampled_from([0.02, 0.1, 0.064]), st.booleans()),
+        st.tuples(
+            arrays(float, 6, elements=st.floats(-0.4, 0.4)),
+            st.sampled_from([0.02, 0.1, 0.064]),
+            st.booleans(),
+            st.booleans(),
+        ),
         min_size=1,
         max_size=25,
     )
@@ -45,14 +50,14 @@ def assert_within_limits(robot, rig):
 def test_limits_hold_over_any_targets_seams_and_stops_included(perfect_robot, rig, targets):
     robot = perfect_robot(rig.arm.home)
     stream = Stream(robot, rig)
-    for change, duration, stop in targets:
+    for change, duration, stop, travel in targets:
         try:
-            stream.run(JointTarget(rig.arm.home + change, 0.05), duration)
+            stream.run(JointTarget(rig.arm.home + change, 0.05), duration, travel)
         except SafetyError as error:
-            assert error.quantity == "floor"
+            assert error.quantity == "floor" or (error.quantity == "jump" and not travel)
         if stop:
             stream.stop()
-            assert np.array_equal(stream.target.arm, robot.sent[-1])
+            assert np.array_equal(stream.target.arm, (robot.sent or [rig.arm.home])[-1])
     assert_within_limits(robot, rig)
 
 
@@ -91,7 +96,7 @@ def test_lag_and_overshoot(stream, robot, rig, speed, duration, most_lag):
 def test_a_far_target_is_approached_without_overshoot(stream, robot, rig):
     goal = rig.arm.home + np.array([0.8, 0.2, -0.4, 0.3, 0.1, 1.0])
     for _ in range(30):
-        stream.run(JointTarget(goal, 0.1), 0.1)
+        stream.run(JointTarget(goal, 0.1), 0.1, travel=True)
     ahead = (np.array(robot.sent) - goal) * np.sign(goal - rig.arm.home)
     assert ahead.max() <= 1e-7
     np.testing.assert_allclose(robot.sent[-1], goal, atol=1e-7)
@@ -130,6 +135,34 @@ def test_a_refused_target_brakes_the_arm_within_its_limits(stream, robot, rig):
     assert_within_limits(robot, rig)
 
 
+@given(arrays(float, 6, elements=st.floats(-1.2, 1.2)), st.sampled_from([0.02, 0.1]))
+@FEW
+def test_a_jump_is_refused_unless_it_is_asked_for_as_a_travel(perfect_robot, rig, change, duration):
+    robot = perfect_robot(rig.arm.home)
+    stream = Stream(robot, rig)
+    goal = JointTarget(rig.arm.home + change * np.array([1, 0, 0, 0, 1, 1]), 0.1)
+    reach = rig.arm.velocity_limit[0] * duration + JUMP_SLACK
+    far = np.abs(goal.arm - rig.arm.home).max() > reach
+    if far:
+        with pytest.raises(SafetyError) as caught:
+            stream.run(goal, duration)
+        assert caught.value.quantity == "jump"
+        assert caught.value.value > caught.value.limit == pytest.approx(reach)
+        assert robot.sent == []
+        stream.run(goal, duration, travel=True)
+    else:
+        stream.run(goal, duration)
+    assert len(robot.sent) == round(duration / SERVO_PERIOD)
+
+
+def test_jumps_are_measured_from_the_last_target_not_from_the_arm(stream, rig):
+    """Steps of a skill outrun the arm for a while; that is lag, not a jump."""
+    for k in range(1, 8):
+        stream.run(JointTarget(rig.arm.home + 0.1 * k * np.array([1, 0, 0, 0, 0, 0]), 0.1), 0.02)
+    with pytest.raises(SafetyError, match="jump"):
+        stream.run(JointTarget(rig.arm.home, 0.1), 0.02)
+
+
 @pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, np.inf, 61.0])
 def test_a_senseless_duration(stream, robot, rig, duration):
     with pytest.raises(MotionError, match="60 s"):
@@ -149,7 +182,7 @@ def test_recorders_see_requested_and_sent(robot, rig):
     goal = JointTarget(rig.arm.home + 0.3, 0.1)
     last = None
     for _ in range(5):
-        last = stream.run(goal, 0.03)
+        last = stream.run(goal, 0.03, travel=True)
     assert len(seen) == 7
     commands = [c for _, c in seen]
     np.testing.assert_allclose(np.diff([c.time for c in commands]), 0.02)

@@ -1,0 +1,33 @@
+"""A camera of an emulated lab: its pictures come over the side door."""
+
+from __future__ import annotations
+
+from hardware.base import Connected, Robot
+from hardware.emulator.lab import LabClient
+from resync_robot.core.rig import CameraRig, Rig
+from resync_robot.core.world import CameraFrame
+
+
+class EmulatedCamera(Connected):
+    """One camera of the rig, where calibration and the measured arm say it is.
+
+    Args:
+        lab: connected.
+        robot: carries the camera, where it is mounted on the flange.
+    """
+
+    def __init__(self, lab: LabClient, rig: Rig, camera: CameraRig, robot: Robot) -> None:
+        self._lab, self._rig, self._camera, self._robot = lab, rig, camera, robot
+        self.name = camera.name
+
+    def connect(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def capture(self) -> CameraFrame:
+        """A picture of now."""
+        time, colour, depth = self._lab.picture(self.name)
+        pose = self._rig.camera_pose(self._camera, self._robot.state().q)
+        return CameraFrame(self.name, colour, depth, self._camera.intrinsics, pose, time)

@@ -1,0 +1,100 @@
+"""The side door of an emulated lab, which no real one has: lay out a scene, ask where things really are, get pictures.
+
+One line of JSON each way on its own port; a picture's bytes follow its line. `LabClient` is the deployment's end of it;
+the other end lives with the simulator.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hardware.base import Connected, RobotError
+from resync_robot.core.state import State
+from resync_robot.core.vocabulary import TYPES
+
+PORT = 30910
+MAX_LINE = 1 << 20
+MAX_PICTURE = 1 << 26
+TIMEOUT_S = 60.0
+"""A scene takes seconds to build, a picture of a software renderer up to one."""
+
+
+class LabClient(Connected):
+    """Talks to the emulated lab at `address`."""
+
+    def __init__(self, address: str, port: int = PORT) -> None:
+        self._where = (address, port)
+        self._socket: socket.socket | None = None
+        self._buffer = b""
+
+    def connect(self) -> None:
+        address, port = self._where
+        try:
+            self._socket = socket.create_connection(self._where, TIMEOUT_S)
+        except OSError as error:
+            raise RobotError(
+                f"no emulated lab at {address}:{port}: {error.strerror or error}",
+                "start one in another terminal:  resync-robot emulate --rig hardware/emulated.toml",
+            ) from None
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def lay_out(self, domain: str, scenario: str, seed: int, episode: int) -> None:
+        """Put the scene of that episode before the robot, which stands at its home again."""
+        self.ask({"do": "lay out", "domain": domain, "scenario": scenario, "seed": seed, "episode": episode})
+
+    def truth(self) -> State:
+        """Where everything really is."""
+        return State.from_json(self.ask({"do": "truth"})[0]["objects"], TYPES)
+
+    def picture(self, camera: str) -> tuple[float, np.ndarray, np.ndarray]:
+        """Time on the controller's clock (s), (H, W, 3) uint8 RGB, (H, W) uint16 depth in 1e-4 m, with all noise."""
+        head, body = self.ask({"do": "picture", "camera": camera})
+        height, width = int(head["height"]), int(head["width"])
+        if len(body) != height * width * 5:
+            raise RobotError(f"the emulated camera '{camera}' sent {len(body)} bytes for {width} x {height} pixels")
+        colour = np.frombuffer(body, np.uint8, height * width * 3).reshape(height, width, 3)
+        depth = np.frombuffer(body, "<u2", height * width, height * width * 3).reshape(height, width)
+        return float(head["time"]), colour, depth
+
+    def ask(self, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
+        """The answer, and the bytes that follow it. Raises RobotError with the lab's own words."""
+        if self._socket is None:
+            raise RobotError("the emulated lab is not connected")
+        try:
+            self._socket.sendall(json.dumps(question).encode() + b"\n")
+            while b"\n" not in self._buffer:
+                self._receive(MAX_LINE)
+            line, self._buffer = self._buffer.split(b"\n", 1)
+            head = json.loads(line)
+            if not isinstance(head, dict):
+                raise ValueError("no JSON object")
+            if "error" in head:
+                raise RobotError(f"the emulated lab: {head['error']}")
+            size = int(head.get("bytes", 0))
+            if not 0 <= size <= MAX_PICTURE:
+                raise ValueError(f"{size} bytes")
+            while len(self._buffer) < size:
+                self._receive(MAX_PICTURE)
+        except (OSError, ValueError) as error:
+            self.close()
+            raise RobotError(f"the emulated lab does not answer: {error}", "start it again") from None
+        body, self._buffer = self._buffer[:size], self._buffer[size:]
+        return head, body
+
+    def _receive(self, most: int) -> None:
+        if self._socket is None or len(self._buffer) > most:
+            raise ValueError("too much")
+        data = self._socket.recv(1 << 16)
+        if not data:
+            raise ConnectionResetError("it closed the connection")
+        self._buffer += data

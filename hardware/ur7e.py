@@ -1,0 +1,351 @@
+"""The UR7e through the real ur-rtde, which lives in a supervised process (`hardware.ur_link`)."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import logging
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from hardware.base import (
+    SERVO_PERIOD,
+    Connected,
+    Gripper,
+    ProtectiveStopError,
+    RobotError,
+    RobotState,
+    StaleError,
+    StarvedError,
+)
+from hardware.dashboard import OTHER_SAFETY, Dashboard
+from hardware.ur_memory import LONGEST_STOP, RING, STOPS, Fault, LinkMemory
+from resync_robot.core.rig import ControllerRig, Rig
+
+_log = logging.getLogger(__name__)
+
+START_S = 15.0
+UNLOCK_AFTER_S = 5.5
+"""The controller refuses to unlock a protective stop in its first 5 s."""
+INSTALL = "uv pip install -e '.[hardware]' -c constraints.txt"
+SAFETY_NAMES = {
+    2: "REDUCED", 3: "PROTECTIVE_STOP", 4: "RECOVERY", 5: "SAFEGUARD_STOP", 6: "SYSTEM_EMERGENCY_STOP",
+    7: "ROBOT_EMERGENCY_STOP", 8: "VIOLATION", 9: "FAULT",
+}  # fmt: skip
+
+
+class Ur7e(Connected):
+    """A UR7e with the gripper it carries; a `RealtimeRobot`.
+
+    Args:
+        rig: with a [controller] section.
+        gripper: the hand, connected and closed with the arm.
+
+    Raises:
+        RobotError: the rig says nothing of a controller.
+    """
+
+    def __init__(self, rig: Rig, gripper: Gripper) -> None:
+        self._rig = rig
+        self._controller = require_controller(rig)
+        self.gripper = gripper
+        self._world_R_base = rig.arm.world_T_base[:3, :3]
+        self._memory: LinkMemory | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._stopped_at = 0.0
+        self._opening = 0.0
+        self._blocks = 0
+        self._last_heard = 0.0, time.monotonic()
+        self._program_stopped = False
+
+    def connect(self) -> None:
+        """Check the controller's state, start the link, verify payload and TCP. Nothing moves.
+
+        Raises:
+            ProtectiveStopError, RobotError: one sentence for what keeps the robot from being driven.
+        """
+        if self._process is not None:
+            raise RobotError("the robot is connected already")
+        for module in ("rtde_control", "rtde_receive"):
+            if importlib.util.find_spec(module) is None:
+                raise RobotError("the package ur-rtde is not installed", INSTALL)
+        with Dashboard(self._controller.address) as dashboard:
+            dashboard.require_ready()
+        self.gripper.connect()
+        try:
+            self._opening = self.gripper.state().opening
+            self._program_stopped, self._stopped_at, self._blocks = False, 0.0, 0
+            self._start_link()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Brake to rest, end the program, and let go; may be called twice."""
+        process, self._process = self._process, None
+        if process is not None:
+            if self._memory is not None:
+                self._memory.words["finish"] = 1
+            with suppress(OSError):
+                if process.stdin is not None:
+                    process.stdin.close()
+            try:
+                process.wait(4.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
+            if process.returncode != 0 and not self._program_stopped:
+                self._stop_program()
+        self._memory = None
+        self.gripper.close()
+
+    def clock(self) -> float:
+        """s on the controller's clock when it was last heard; goes on counting while it is silent."""
+        if self._memory is not None:
+            now = self._memory.snapshot()
+            self._last_heard = float(now["time"]), float(now["heard"])
+        time_, heard = self._last_heard
+        return time_ + max(0.0, time.monotonic() - heard)
+
+    def state(self) -> RobotState:
+        """The latest measurement. Raises StaleError when the controller has been silent for too long."""
+        now = self._require_link().snapshot()
+        self._require_process()
+        silent = time.monotonic() - float(now["heard"])
+        if silent > self._controller.freshness:
+            raise StaleError(
+                f"the controller has said nothing for {1000 * silent:.0f} ms; allowed: "
+                f"{1000 * self._controller.freshness:.0f} ms",
+                "check the cable and the controller; the robot has been given no more setpoints",
+            )
+        force = self._world_R_base @ now["force"][:3]
+        opening = self.gripper.state().opening
+        return RobotState(float(now["time"]), now["q"].copy(), now["qd"].copy(), force, opening)
+
+    @property
+    def speed_fraction(self) -> float:
+        """See `RealtimeRobot`."""
+        fraction = float(self._require_link().snapshot()["speed_fraction"])
+        if fraction < 0.01:
+            raise RobotError("the speed slider stands at zero", "raise it on the teach pendant")
+        return min(fraction, 1.0)
+
+    @property
+    def late_ticks(self) -> int:
+        """How often a setpoint went out more than a tick late, since connecting."""
+        return int(self._require_link().words["late_ticks"])
+
+    def servo(self, q: Float[np.ndarray, "6"], opening: float) -> None:
+        """One setpoint, from which the arm need not stop: for an arm at rest."""
+        self.play(np.asarray(q, dtype=np.float64)[None], np.array([opening]), np.empty((0, 6)))
+
+    def play(
+        self,
+        setpoints: Float[np.ndarray, "n 6"],
+        openings: Float[np.ndarray, " n"],
+        stop: Float[np.ndarray, "m 6"],
+        after_each: Callable[[], None] | None = None,
+    ) -> None:
+        """See `RealtimeRobot`."""
+        memory = self._require_link()
+        self._require_running()
+        w = memory.words
+        epoch, write = int(w["epoch"]), int(w["write"])
+        if int(w["link_epoch"]) != epoch:
+            self._starved()
+        if len(stop) > LONGEST_STOP or write - int(w["read"]) + len(setpoints) > RING:
+            raise RobotError(f"a block of {len(setpoints)} setpoints and {len(stop)} to rest is too long")
+        rows = np.arange(write, write + len(setpoints)) % RING
+        w["ring"][rows], w["tags"][rows] = setpoints, epoch
+        slot = w["stops"][self._blocks % STOPS]
+        self._blocks += 1
+        slot["count"] = 0
+        slot["epoch"], slot["after"], slot["q"][: len(stop)] = epoch, write + len(setpoints), stop
+        slot["count"] = len(stop)
+        # Last: from here on the link may take it.
+        w["write"] = write + len(setpoints)
+        lead = max(1, round(self._controller.lead / SERVO_PERIOD))
+        for i, opening in enumerate(openings.tolist()):
+            self._move_gripper(opening)
+            while int(w["read"]) < write + i + 1 - lead:
+                self._require_running()
+                if int(w["link_epoch"]) != epoch:
+                    self._starved()
+                time.sleep(SERVO_PERIOD / 2)
+            if after_each is not None:
+                after_each()
+        if int(w["link_epoch"]) != epoch:
+            self._starved()
+
+    def limit_effort(self, limit: tuple[float, ...] | None) -> None:
+        """The controller has no such cap under servoing: what holds is its own safety limits and our force guard."""
+
+    def acknowledge_stop(self) -> None:
+        """After a person has looked: unlock a protective stop once it is old enough, and connect anew.
+
+        Raises:
+            ProtectiveStopError: the controller keeps it locked.
+            RobotError: the robot is in another state that forbids motion.
+        """
+        wait = self._stopped_at + UNLOCK_AFTER_S - time.monotonic()
+        if wait > 0:
+            time.sleep(wait)
+        self.close()
+        with Dashboard(self._controller.address) as dashboard:
+            if dashboard.safety() == "PROTECTIVE_STOP":
+                dashboard.unlock_protective_stop()
+            deadline = time.monotonic() + 3.0
+            while dashboard.safety() == "PROTECTIVE_STOP" and time.monotonic() < deadline:
+                time.sleep(0.05)
+        self.connect()
+
+    def _move_gripper(self, opening: float) -> None:
+        if opening != self._opening:
+            self._opening = opening
+            self.gripper.move(opening)
+
+    def _start_link(self) -> None:
+        c = self._controller
+        file = LinkMemory.new_file()
+        try:
+            self._memory = LinkMemory(file)
+            root = str(Path(__file__).parents[1])
+            path = os.pathsep.join([root, *(p for p in sys.path if p)])
+            process = subprocess.Popen(
+                [sys.executable, "-c", "from hardware.ur_link import main; main()"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                pass_fds=(file,),
+                env=os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
+                # A Ctrl-C at the terminal is for the driver, which brakes; the link ends after it.
+                start_new_session=True,
+            )
+            self._process = process
+            settings = {
+                "memory": file, "address": c.address, "freshness": c.freshness, "watchdog": c.watchdog,
+                "payload": c.payload, "payload_centre": c.payload_centre.tolist(),
+                "tcp": [0.0, 0.0, self._rig.gripper.tip_offset, 0.0, 0.0, 0.0],
+            }  # fmt: skip
+            if process.stdin is None or process.stdout is None:
+                raise RobotError("the link to the robot has no pipes")
+            process.stdin.write(json.dumps(settings).encode() + b"\n")
+            process.stdin.flush()
+            answer = self._answer(process)
+        finally:
+            os.close(file)
+        if "error" in answer:
+            reason = str(answer["error"])
+            if "already in use" in reason or "IN_USE" in reason:
+                raise RobotError(
+                    f"another program controls the robot: {reason}",
+                    "end it, or disable its EtherNet/IP, PROFINET or MODBUS unit on the teach pendant",
+                )
+            raise RobotError(f"no control of the robot at {c.address}: {reason}")
+
+    def _answer(self, process: subprocess.Popen[bytes]) -> dict[str, object]:
+        """The link's first line of JSON. The client's library prints lines of its own, which are logged."""
+        deadline = time.monotonic() + START_S
+        rest, lines = b"", []
+        if process.stdout is None:
+            raise RobotError("the link to the robot has no pipes")
+        while time.monotonic() < deadline:
+            if not select.select([process.stdout], [], [], 0.1)[0]:
+                continue
+            data = os.read(process.stdout.fileno(), 4096)
+            rest += data
+            *whole, rest = rest.split(b"\n")
+            for line in whole:
+                text = line.decode("utf-8", "replace").strip()
+                if text.startswith("{"):
+                    content = json.loads(text)
+                    if isinstance(content, dict):
+                        return content
+                lines.append(text)
+                _log.debug("ur-rtde: %s", text)
+            if not data:
+                break
+        last = next((x for x in reversed(lines) if x), "it said nothing")
+        return {"error": f"the link did not start ({last})"}
+
+    def _require_link(self) -> LinkMemory:
+        if self._memory is None or self._process is None:
+            raise RobotError("the robot is not connected", "use it as `with Ur7e(rig, gripper) as robot:`")
+        return self._memory
+
+    def _require_process(self) -> None:
+        process = self._process
+        code = None if process is None else process.poll()
+        if code is None:
+            return
+        name = f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
+        if not self._program_stopped:
+            self._program_stopped = True
+            self._stop_program()
+        raise StaleError(
+            f"the link to the robot was lost (its process ended with {name}); the robot's program has been stopped",
+            "check the cable and the controller, look at the robot, and start again",
+        )
+
+    def _require_running(self) -> None:
+        """Raise whatever keeps the link from sending setpoints."""
+        memory = self._require_link()
+        self._require_process()
+        fault = Fault(int(memory.words["fault"]))
+        if fault is Fault.NONE:
+            return
+        if fault is Fault.LINK_LOST and self._process is not None:
+            # It leaves at once; its exit says the rest.
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(1.0)
+            self._require_process()
+        self.state()
+        safety = SAFETY_NAMES.get(int(memory.snapshot()["safety_mode"]), "")
+        if safety == "PROTECTIVE_STOP":
+            self._stopped_at = self._stopped_at or time.monotonic()
+            raise ProtectiveStopError(
+                "the robot made a protective stop", "look why, and clear the way; then acknowledge it"
+            )
+        if safety and safety != "REDUCED":
+            raise RobotError(f"the robot stopped: {safety}", OTHER_SAFETY.get(safety, "look at the teach pendant"))
+        if fault is Fault.STALE:
+            raise StaleError("the controller fell silent for a moment and motion was stopped", "start again")
+        raise RobotError("the robot's control program was stopped", "look at the teach pendant, and start again")
+
+    def _starved(self) -> None:
+        """Wait until the arm rests where the link braked it to, take over from there, and say so."""
+        w = self._require_link().words
+        while not w["resting"]:
+            self._require_running()
+            time.sleep(SERVO_PERIOD)
+        w["epoch"] = int(w["link_epoch"])
+        raise StarvedError(w["held"].copy())
+
+    def _stop_program(self) -> None:
+        """The link is gone; whatever it uploaded must not go on."""
+        try:
+            with Dashboard(self._controller.address, timeout=1.0) as dashboard:
+                dashboard.stop_program()
+        except RobotError as error:
+            _log.warning("the robot's program could not be stopped, its watchdog has to: %s", error.what)
+
+
+def require_controller(rig: Rig) -> ControllerRig:
+    """The rig's controller. Raises RobotError where it has none."""
+    if rig.controller is None:
+        raise RobotError(
+            f"the rig '{rig.name}' has no [controller]: it says nothing of a real or emulated machine",
+            "give one with --rig, such as --rig hardware/emulated.toml",
+        )
+    return rig.controller

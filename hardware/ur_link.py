@@ -1,0 +1,219 @@
+"""The process that holds the ur-rtde client: it sends a setpoint every 2 ms, watches the controller, and nothing else.
+
+Why a process of its own: when the link drops, ur-rtde 1.6.5 can end its process by SIGSEGV. Why the script is uploaded
+by hand: given the task, the client uploads it again with every reconnection, and the robot would run a program
+that nobody steers. So this process leaves at the first sign of a lost link, and nothing resumes by itself.
+
+It reads its settings as one line of JSON on standard input, and ends when that is closed: the driver has died.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from hardware.ur_memory import RING, SNAPSHOT, STOPS, Fault, LinkMemory
+
+PERIOD = 0.002
+KICK_S = 0.02
+"""How often a resting arm's watchdog hears from us."""
+VARIABLES = (
+    "timestamp", "actual_q", "actual_qd", "actual_TCP_force", "robot_mode", "safety_mode", "runtime_state",
+    "robot_status_bits", "safety_status_bits", "speed_scaling", "target_speed_fraction", "payload",
+)  # fmt: skip
+PLAYING = 2
+LOOKAHEAD, GAIN = 0.1, 300.0
+"""s and the proportional gain of servoj: the smoothest that the controller offers without lagging more."""
+LINK_LOST, STILL_RUNNING = 3, 4
+"""Exit codes that ask the driver to end the robot's program."""
+END_S = 2.0
+"""How long the client may take to end the program; it waits for ever for a controller that is gone."""
+
+
+def say(**content: Any) -> None:
+    """One line of JSON to the driver."""
+    sys.stdout.write(json.dumps(content) + "\n")
+    sys.stdout.flush()
+
+
+class Link:
+    """The client's two interfaces, and the loop."""
+
+    def __init__(self, settings: dict[str, Any], memory: LinkMemory) -> None:
+        from rtde_control import RTDEControlInterface
+        from rtde_receive import RTDEReceiveInterface
+
+        self._memory, self._words = memory, memory.words
+        self._freshness = float(settings["freshness"])
+        self._now = np.zeros((), SNAPSHOT)
+        self._driver_gone = threading.Event()
+        self.receive = RTDEReceiveInterface(settings["address"], 1 / PERIOD, list(VARIABLES))
+        # Without FLAG_UPLOAD_SCRIPT, see above.
+        self.control = RTDEControlInterface(settings["address"], 1 / PERIOD, int(RTDEControlInterface.FLAG_NO_WAIT))
+        self._begin(settings)
+
+    def _begin(self, settings: dict[str, Any]) -> None:
+        """Upload the program, and set and verify what has to be right before anything moves."""
+        if not self.control.reuploadScript():
+            raise RuntimeError("the controller did not take the control program")
+        limit = time.monotonic() + 3.0
+        while self.receive.getRuntimeState() != PLAYING:
+            if time.monotonic() > limit:
+                raise RuntimeError("the controller does not run the control program")
+            time.sleep(0.005)
+        # The client's own view of the program lags the controller's by a few packets.
+        while not self.control.isProgramRunning() and time.monotonic() < limit:
+            time.sleep(0.005)
+        payload, centre, tcp = settings["payload"], settings["payload_centre"], settings["tcp"]
+        if not self.control.setPayload(payload, centre) or not self.control.setTcp(tcp):
+            raise RuntimeError("the controller did not take payload and TCP")
+        got = self.control.getTCPOffset()
+        if max(abs(a - b) for a, b in zip(got, tcp, strict=True)) > 1e-6:
+            raise RuntimeError(f"the controller has the TCP {got} instead of {tcp}")
+        limit = time.monotonic() + 1.0
+        while abs(self.receive.getPayload() - payload) > 1e-3:
+            if time.monotonic() > limit:
+                raise RuntimeError(f"the controller has a payload of {self.receive.getPayload()} kg, not {payload}")
+            time.sleep(0.005)
+        if not self.control.setWatchdog(settings["watchdog"]):
+            raise RuntimeError("the controller did not take the watchdog")
+
+    def watch_driver(self) -> None:
+        """Until the driver closes our standard input."""
+        while sys.stdin.readline():
+            pass
+        self._driver_gone.set()
+
+    def look(self) -> Fault:
+        """Publish the robot's state; what speaks against another setpoint."""
+        now, r = self._now, self.receive
+        host = time.monotonic()
+        stamp = r.getTimestamp()
+        if stamp != now["time"]:
+            now["time"], now["heard"] = stamp, host
+            now["q"], now["qd"], now["force"] = r.getActualQ(), r.getActualQd(), r.getActualTCPForce()
+            now["robot_mode"], now["safety_mode"] = r.getRobotMode(), r.getSafetyMode()
+            now["runtime"] = r.getRuntimeState()
+            now["speed_fraction"] = r.getSpeedScaling()
+            self._memory.publish(now)
+        if not r.isConnected() or not self.control.isConnected():
+            return Fault.LINK_LOST
+        if host - float(now["heard"]) > self._freshness:
+            return Fault.STALE
+        if now["runtime"] != PLAYING:
+            return Fault.STOPPED
+        return Fault.NONE
+
+    def run(self) -> Fault:
+        """Send setpoints until something speaks against it, or the driver wants to end at rest."""
+        w = self._words
+        clock = self.receive
+        due, kick = time.monotonic(), 0.0
+        stop: np.ndarray | None = None
+        stop_at = 0
+        while True:
+            due += PERIOD
+            pause = due - time.monotonic()
+            if pause > 0:
+                time.sleep(pause)
+            elif pause < -PERIOD:
+                # Held up: later setpoints are later, never closer together.
+                due = time.monotonic()
+                w["late_ticks"] += 1
+            fault = self.look()
+            if fault is not Fault.NONE:
+                return fault
+            q: np.ndarray | None = None
+            read, epoch = int(w["read"]), int(w["link_epoch"])
+            if stop is not None:
+                q, stop_at = stop[stop_at], stop_at + 1
+                if stop_at == len(stop):
+                    stop = None
+                    w["resting"] = 1
+            elif read < int(w["write"]):
+                while read < int(w["write"]) and w["tags"][read % RING] != epoch:
+                    read += 1
+                if read < int(w["write"]):
+                    q = w["ring"][read % RING]
+                    read += 1
+                w["read"] = read
+            else:
+                stop = self._way_to_rest(read, epoch)
+                if stop is not None:
+                    w["held"] = stop[-1]
+                    w["resting"] = 0
+                    w["link_epoch"] = epoch + 1
+                    q, stop_at = stop[0], 1
+                    if len(stop) == 1:
+                        stop = None
+                        w["resting"] = 1
+                elif self._driver_gone.is_set() or w["finish"]:
+                    return Fault.DRIVER_GONE
+            if q is not None:
+                w["due"], kick = due, due + KICK_S
+                w["sent"] += 1
+                if not self.control.servoJ(q.tolist(), 0.0, 0.0, PERIOD, LOOKAHEAD, GAIN):
+                    return Fault.STOPPED if clock.isConnected() else Fault.LINK_LOST
+            elif due >= kick:
+                kick = due + KICK_S
+                self.control.kickWatchdog()
+
+    def _way_to_rest(self, read: int, epoch: int) -> np.ndarray | None:
+        for i in range(STOPS):
+            slot = self._words["stops"][i]
+            if slot["epoch"] == epoch and slot["after"] == read and slot["count"]:
+                way = slot["q"][: int(slot["count"])].copy()
+                # Once only: `read` stays where it is while the arm rests.
+                slot["count"] = 0
+                return way
+        return None
+
+    def watch_after(self, fault: Fault) -> None:
+        """Send nothing, publish what the robot says, until the driver lets go or the link is lost."""
+        while not self._driver_gone.is_set():
+            if self.look() is Fault.LINK_LOST:
+                return
+            time.sleep(PERIOD)
+
+    def end_program(self) -> None:
+        """Stop servoing and end the program, in order."""
+        timer = threading.Timer(END_S, leave, [STILL_RUNNING])
+        timer.daemon = True
+        timer.start()
+        self.control.servoStop(10.0)
+        self.control.stopScript()
+
+
+def main() -> None:
+    settings = json.loads(sys.stdin.readline())
+    memory = LinkMemory(int(settings["memory"]))
+    try:
+        link = Link(settings, memory)
+    # The client raises whatever its libraries do; the driver makes one sentence of it.
+    except Exception as error:
+        say(error=str(error).strip() or type(error).__name__)
+        leave(1)
+    link.look()
+    threading.Thread(target=link.watch_driver, daemon=True).start()
+    say(ready=True)
+    fault = link.run()
+    memory.words["fault"] = int(fault)
+    if fault is Fault.LINK_LOST:
+        leave(LINK_LOST)
+    if fault is Fault.DRIVER_GONE:
+        link.end_program()
+        leave(0)
+    link.watch_after(fault)
+    leave(0 if fault is Fault.STOPPED else STILL_RUNNING)
+
+
+def leave(code: int) -> None:
+    """Without the clients' own clean-up, which talks to the controller again and may crash on a lost link."""
+    sys.stdout.flush()
+    os._exit(code)

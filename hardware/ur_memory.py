@@ -1,0 +1,89 @@
+"""Memory that the driver shares with the process that talks to the arm; neither ever waits for the other.
+
+Each word has one writer. Setpoints travel in a ring; every block comes with its way to rest. A snapshot of the robot
+is guarded by a counter that is odd while it is being written.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from enum import IntEnum
+
+import numpy as np
+
+RING = 1 << 15
+"""Setpoints; 65 s."""
+STOPS = 4
+LONGEST_STOP = 4096
+JOINTS = ("f8", 6)
+
+SNAPSHOT = np.dtype(
+    [
+        ("time", "f8"),
+        ("q", *JOINTS),
+        ("qd", *JOINTS),
+        ("force", *JOINTS),
+        ("robot_mode", "i8"),
+        ("safety_mode", "i8"),
+        ("runtime", "i8"),
+        ("speed_fraction", "f8"),
+        ("heard", "f8"),
+    ]
+)
+"""`heard` is the host's monotonic time at which the controller's `time` last changed."""
+STOP = np.dtype([("epoch", "i8"), ("after", "i8"), ("count", "i8"), ("q", "f8", (LONGEST_STOP, 6))])
+LAYOUT = np.dtype(
+    [
+        ("write", "i8"), ("epoch", "i8"), ("finish", "i8"),  # written by the driver
+        ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("fault", "i8"),
+        ("due", "f8"), ("sent", "i8"), ("late_ticks", "i8"), ("sequence", "i8"), ("snapshot", SNAPSHOT),
+        ("ring", "f8", (RING, 6)), ("tags", "i8", RING), ("stops", STOP, STOPS),
+    ]
+)  # fmt: skip
+
+
+class Fault(IntEnum):
+    """Why the link sends no setpoints any more."""
+
+    NONE = 0
+    STALE = 1
+    STOPPED = 2
+    """The control program does not run: protective stop, emergency stop, dashboard, watchdog."""
+    LINK_LOST = 3
+    DRIVER_GONE = 4
+
+
+class LinkMemory:
+    """The shared words as numpy sees them.
+
+    Args:
+        file: descriptor from `new_file`, inherited by the child.
+    """
+
+    def __init__(self, file: int) -> None:
+        self._map = mmap.mmap(file, LAYOUT.itemsize)
+        self.words = np.frombuffer(self._map, LAYOUT, count=1)[0:1].view(np.recarray)[0]
+
+    @staticmethod
+    def new_file() -> int:
+        """A descriptor of zeroed memory without a name; it goes when its last holder does."""
+        file = os.memfd_create("resync-robot-link")
+        os.ftruncate(file, LAYOUT.itemsize)
+        return file
+
+    def publish(self, snapshot: np.ndarray) -> None:
+        """Replace the snapshot (one element of SNAPSHOT)."""
+        w = self.words
+        w["sequence"] += 1
+        w["snapshot"] = snapshot
+        w["sequence"] += 1
+
+    def snapshot(self) -> np.ndarray:
+        """A copy of the latest whole snapshot, one element of SNAPSHOT."""
+        w = self.words
+        while True:
+            before = int(w["sequence"])
+            copy = w["snapshot"].copy()
+            if before % 2 == 0 and int(w["sequence"]) == before:
+                return copy

@@ -1,0 +1,55 @@
+"""A lab on loopback: the simulated robot behind the protocols of a real one, for `deploy --backend ur7e`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from resync_robot.core.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmulateConfig:
+    """Stand in for a UR7e with gripper and cameras, on loopback, until Ctrl-C."""
+
+    rig: Path | None = None
+    """Rig file of the emulated machine, such as hardware/emulated.toml."""
+
+    fault: tuple[str, ...] = ()
+    """What goes wrong: NAME or NAME@SECONDS of running program (default 5), such as protective-stop@10."""
+
+    seconds: float | None = None
+    """End after so many seconds. Default: run until Ctrl-C."""
+
+
+def emulate(config: EmulateConfig) -> int:
+    """Serve the emulated lab.
+
+    Raises:
+        ResyncError: bad input, a port that is taken, or an address that is not loopback.
+    """
+    import time
+
+    from hardware.emulator.faults import FaultPlan, parse_fault
+    from resync_robot.core.rig import load_rig
+    from resync_robot.progress import say
+    from sim_training.lab import Lab
+
+    faults = FaultPlan([parse_fault(text) for text in config.fault])
+    if config.rig is None:
+        raise ConfigError("an emulated machine needs a rig file", "give --rig hardware/emulated.toml")
+    if config.seconds is not None and not config.seconds > 0:
+        raise ConfigError(f"--seconds is {config.seconds}", "give a positive number")
+    rig = load_rig(config.rig)
+    with Lab(rig, config.rig.resolve(), faults) as lab:
+        say(f"A {rig.arm.model} with its gripper and {len(rig.cameras)} cameras stands at {lab.emulator.address}.")
+        say(f"In another terminal:  resync-robot deploy --backend ur7e --rig {config.rig}")
+        begin = time.monotonic()
+        shown = 0
+        while config.seconds is None or time.monotonic() - begin < config.seconds:
+            time.sleep(0.2)
+            for when, name in faults.happened[shown:]:
+                say(f"At {when:.1f} s: {name}.")
+            shown = len(faults.happened)
+    say(f"The emulated clock lost {lab.emulator.behind_s:.2f} s because this computer was too busy.")
+    return 0

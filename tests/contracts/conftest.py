@@ -1,0 +1,117 @@
+"""Every backend's arm, gripper and camera, handed out under one name each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+from hardware.base import Gripper, Robot
+from hardware.emulator.arm import KinematicArm
+from hardware.replay import ReplayRobot
+from hardware.robotiq import Robotiq
+from hardware.sim import SimGripper, SimRobot
+from hardware.ur7e import Ur7e
+from resync_robot.core.episode import EpisodeMeta, read_episode
+from resync_robot.core.episode_writer import EpisodeWriter
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import Rig, load_rig
+from resync_robot.core.world import CameraFrame
+from tests import emulators
+
+
+class KinematicPhysics:
+    """A `hardware.sim.Physics` in empty space."""
+
+    def __init__(self, arm: KinematicArm) -> None:
+        self.period, self.time, self.arm = 0.01, 0.0, arm
+        self._target = arm.measure().q, arm.measure().opening
+
+    def drive(self, q: np.ndarray, opening: float) -> None:
+        self._target = q.copy(), opening
+
+    def step(self) -> None:
+        for _ in range(5):
+            self.arm.tick(*self._target)
+        self.time += self.period
+
+    def measure(self) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+        m = self.arm.measure()
+        return m.q, m.qd, m.opening, m.force
+
+    def limit_effort(self, limit: tuple[float, ...] | None) -> None:
+        pass
+
+    def render(self, camera: str) -> CameraFrame:
+        return CameraFrame(
+            camera, np.zeros((4, 6, 3), np.uint8), np.full((4, 6), 5000, np.uint16), np.eye(3), np.eye(4), self.time
+        )
+
+
+@dataclass
+class Backend:
+    """Attributes: `robot`, not connected yet; `gripper` of it; `rig`; the kinematic `arm` behind it all."""
+
+    name: str
+    robot: Robot
+    gripper: Gripper
+    rig: Rig
+    arm: KinematicArm
+
+
+@contextmanager
+def sim() -> Iterator[Backend]:
+    rig = load_rig()
+    arm = KinematicArm(rig.arm.home, 0.1)
+    physics = KinematicPhysics(arm)
+    gripper = SimGripper(physics)
+    yield Backend("sim", SimRobot(physics, gripper), gripper, rig, arm)
+
+
+@contextmanager
+def ur7e() -> Iterator[Backend]:
+    emulators.need_client()
+    with emulators.emulated() as emulator:
+        rig = emulators.rig_at(emulator.address)
+        gripper = Robotiq(emulator.address)
+        arm = emulator.controller.arm
+        assert isinstance(arm, KinematicArm)
+        robot = Ur7e(rig, gripper)
+        yield Backend("ur7e", robot, gripper, rig, arm)
+        robot.close()
+
+
+@contextmanager
+def replay() -> Iterator[Backend]:
+    """Over a recording of an arm that stood still, hand open; then one with something between its pads."""
+    rig = load_rig()
+    arm = KinematicArm(rig.arm.home, 0.1)
+
+    class Recorded(ReplayRobot):
+        def _opening(self) -> float:
+            return max(super()._opening(), arm.object_width)
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "episode.mcap"
+        meta = EpisodeMeta.of(rig, library_hash="", domain="", scenario="", goal="", seed=0, backend="sim")
+        with EpisodeWriter(path, meta) as writer:
+            there = JointTarget(rig.arm.home, 0.1)
+            for k in range(100):
+                writer.joints(0.02 * k, rig.arm.home, np.zeros(6), 0.1, there, there)
+                writer.tip_force(0.02 * k, np.zeros(3))
+        robot = Recorded(read_episode(path))
+        yield Backend("replay", robot, robot.gripper, rig, arm)
+
+
+BACKENDS = {"sim": sim, "ur7e": ur7e, "replay": replay}
+
+
+@pytest.fixture(params=BACKENDS)
+def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
+    with BACKENDS[request.param]() as made:
+        yield made

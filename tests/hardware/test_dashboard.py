@@ -1,0 +1,41 @@
+"""Our end of the dashboard, against the emulated one and against strangers."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+
+from hardware.base import RobotError
+from hardware.dashboard import Dashboard
+from tests import emulators
+
+
+def test_a_ready_robot_is_ready() -> None:
+    with emulators.emulated() as machine, Dashboard(machine.address) as dashboard:
+        dashboard.require_ready()
+        assert (dashboard.mode(), dashboard.safety()) == ("RUNNING", "NORMAL")
+
+
+@pytest.mark.parametrize(
+    ("reply", "close"),
+    [(b"hello\n", False), (b"x" * 8000, False), (b"", True), (b"\xff\xfe\n", False)],
+    ids=["another server", "no end", "gone", "no text"],
+)
+def test_a_stranger_is_one_error(reply: bytes, close: bool) -> None:
+    with (
+        emulators.stranger(reply, close) as port,
+        pytest.raises(RobotError),
+        Dashboard("127.0.0.1", port, timeout=0.5) as dashboard,
+    ):
+        dashboard.require_ready()
+
+
+def test_a_silent_server_is_one_error_in_time() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener, pytest.raises(RobotError, match="does not answer"):
+        Dashboard("127.0.0.1", listener.getsockname()[1], timeout=0.2).connect()
+
+
+def test_it_must_be_connected() -> None:
+    with pytest.raises(RobotError, match="not connected"):
+        Dashboard("127.0.0.1").ask("robotmode")

@@ -1,0 +1,88 @@
+"""A recording in place of a robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from hardware.base import SERVO_PERIOD, RobotError
+from hardware.replay import ReplayCamera, ReplayRobot, ReplayTruth
+from resync_robot.core.episode import Episode, EpisodeMeta, read_episode
+from resync_robot.core.episode_writer import EpisodeWriter
+from resync_robot.core.errors import EpisodeError
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import Rig
+from resync_robot.core.state import State
+from resync_robot.core.world import CameraFrame
+from tests import scenes
+
+
+def write(path: Path, rig: Rig, joints: bool = True, pictures: int = 2) -> Episode:
+    """An arm that turns its first joint by 0.1 rad in a second, and closes on an object of 60 mm half way."""
+    meta = EpisodeMeta.of(rig, library_hash="", domain="d", scenario="s", goal="g", seed=0, backend="sim")
+    state = scenes.scene({"b0": (0.0, 0.0)}).initial
+    with EpisodeWriter(path, meta) as writer:
+        for k in range(51 if joints else 0):
+            time, q = 5.0 + 0.02 * k, rig.arm.home.copy()
+            q[0] += 0.002 * k
+            sent = JointTarget(q, 0.1 if k < 25 else 0.0)
+            writer.joints(time, q, np.zeros(6), 0.1 if k < 25 else 0.06, sent, sent)
+            writer.tip_force(time, np.array([0.0, 0.0, float(k)]))
+            if k in (0, 40):
+                moved = {o: state[o] + (0.1 * (k > 0) if o.name == "b0" else 0.0) for o in state}
+                writer.truth(time, State(moved))
+        for i in range(pictures):
+            colour, depth = np.full((8, 10, 3), 40 * i, np.uint8), np.full((8, 10), 5000 + i, np.uint16)
+            frame = CameraFrame("wrist", colour, depth, np.eye(3), np.eye(4), 5.0 + i)
+            jpeg, png = (cv2.imencode(kind, x)[1].tobytes() for kind, x in ((".jpg", colour), (".png", depth)))
+            writer.picture(frame, jpeg, png)
+    return read_episode(path)
+
+
+@pytest.fixture
+def episode(tmp_path: Path, rig: Rig) -> Episode:
+    return write(tmp_path / "e.mcap", rig)
+
+
+def test_time_pads_forces_and_objects_are_those_of_the_moment(episode: Episode, rig: Rig) -> None:
+    with ReplayRobot(episode) as robot:
+        truth = ReplayTruth(episode, robot)
+        block = next(o for o in truth() if o.name == "b0")
+        begin = truth()[block][0]
+        assert (robot.state().time, robot.state().opening) == (5.0, 0.1)
+        for k in range(450):
+            q = rig.arm.home.copy()
+            q[0] += 0.002 * (k + 1) / 10
+            robot.servo(q, 0.1 if k < 249 else 0.0)
+        state = robot.state()
+        assert state.time == pytest.approx(5.0 + 450 * SERVO_PERIOD)
+        assert state.opening == 0.06
+        assert robot.gripper.state().object_detected
+        assert state.tip_force[2] == 45.0
+        assert truth()[block][0] == pytest.approx(begin + 0.1)
+        assert robot.departure < 0.0025
+
+
+def test_a_departure_from_the_recording_is_measured(episode: Episode, rig: Rig) -> None:
+    with ReplayRobot(episode) as robot:
+        robot.servo(rig.arm.home + 0.3, 0.1)
+        assert robot.departure == pytest.approx(0.3)
+
+
+def test_pictures_come_in_order_until_there_are_none(episode: Episode) -> None:
+    with ReplayRobot(episode) as robot:
+        camera = ReplayCamera(episode, "wrist", robot)
+        frames = [camera.capture(), camera.capture()]
+        assert [f.time for f in frames] == [5.0, 6.0]
+        assert [int(f.depth[0, 0]) for f in frames] == [5000, 5001]
+        with pytest.raises(RobotError, match="only 2 pictures"):
+            camera.capture()
+
+
+def test_a_recording_without_joints_or_objects_is_refused(tmp_path: Path, rig: Rig) -> None:
+    empty = write(tmp_path / "n.mcap", rig, joints=False)
+    with pytest.raises(EpisodeError, match="no joints"):
+        ReplayRobot(empty)

@@ -1,0 +1,350 @@
+"""What goes wrong between the driver and a controller, brought about on an emulated one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hardware.base import ProtectiveStopError, RobotError, SafetyError, StaleError
+from hardware.emulator.controller import ControllerSettings, RobotMode, SafetyMode
+from hardware.emulator.faults import FAULTS
+from hardware.emulator.server import Emulator
+from hardware.robotiq import Robotiq
+from hardware.stream import Stream
+from hardware.ur7e import Ur7e
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import Rig
+from tests import emulators
+
+pytestmark = pytest.mark.realtime
+
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(autouse=True)
+def client() -> None:
+    emulators.need_client()
+
+
+@pytest.fixture
+def machine() -> Iterator[Emulator]:
+    with emulators.emulated() as emulator:
+        yield emulator
+
+
+@pytest.fixture
+def rig(machine: Emulator) -> Rig:
+    return emulators.rig_at(machine.address)
+
+
+@pytest.fixture
+def robot(machine: Emulator, rig: Rig) -> Iterator[Ur7e]:
+    robot = Ur7e(rig, Robotiq(machine.address))
+    yield robot
+    robot.close()
+
+
+def swing(stream: Stream, rig: Rig, seconds: float, begin: float = 0.0) -> None:
+    """Move the first joint to and fro, at up to 0.4 rad/s, as from `begin` s of that motion on."""
+    for k in range(round(begin / 0.02), round((begin + seconds) / 0.02)):
+        q = rig.arm.home.copy()
+        q[0] += 0.2 * np.sin(2 * k * 0.02)
+        stream.run(JointTarget(q, 0.1), 0.02)
+
+
+def during_motion(robot: Ur7e, rig: Rig, happen: Callable[[], object]) -> BaseException:
+    """What a motion ends with when `happen` happens in the midst of it."""
+    stream = Stream(robot, rig)
+    swing(stream, rig, 0.5)
+    timer = threading.Timer(0.1, happen)
+    timer.start()
+    try:
+        with pytest.raises(RobotError) as caught:
+            swing(stream, rig, 8.0, begin=0.5)
+    finally:
+        timer.join()
+    return caught.value
+
+
+def is_still(machine: Emulator) -> bool:
+    return bool(np.abs(machine.controller.velocity).max() < 1e-9)
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return condition()
+
+
+@pytest.mark.parametrize(
+    ("fault", "word"),
+    [
+        ("emergency-stop", "emergency stop is pressed"),
+        ("system-emergency-stop", "emergency stop of the system"),
+        ("safeguard-stop", "safeguard"),
+        ("violation", "VIOLATION"),
+        ("safety-fault", "safety system has a fault"),
+        ("program-stop", "control program was stopped"),
+    ],
+)
+def test_a_stop_ends_the_motion_and_nothing_resumes_it(
+    machine: Emulator, robot: Ur7e, rig: Rig, fault: str, word: str
+) -> None:
+    with robot:
+        error = during_motion(robot, rig, lambda: machine.call(lambda: FAULTS[fault](machine)))
+        assert word in str(error)
+        assert wait_for(lambda: is_still(machine))
+        uploads = machine.controller.uploads
+        with pytest.raises(RobotError):
+            robot.servo(robot.state().q, 0.1)
+        # The cause goes away by itself: still nothing moves until somebody connects anew.
+        machine.call(lambda: machine.controller.set_safety(SafetyMode.NORMAL))
+        time.sleep(0.3)
+        with pytest.raises(RobotError):
+            robot.servo(rig.arm.home, 0.1)
+    assert machine.controller.uploads == uploads == 1
+    assert machine.controller.program is None
+
+
+@pytest.mark.parametrize(
+    ("mode", "word"),
+    [
+        (SafetyMode.ROBOT_EMERGENCY_STOP, "release it and switch the arm on"),
+        (SafetyMode.SAFEGUARD_STOP, "safeguard"),
+        (SafetyMode.FAULT, "has a fault"),
+        (SafetyMode.RECOVERY, "outside its safety limits"),
+    ],
+)
+def test_no_connection_to_a_robot_that_must_not_move(
+    machine: Emulator, robot: Ur7e, mode: SafetyMode, word: str
+) -> None:
+    machine.call(lambda: machine.controller.set_safety(mode))
+    with pytest.raises(RobotError, match=word):
+        robot.connect()
+    assert machine.controller.uploads == 0
+    # No software resets it.
+    assert machine.controller.safety_mode is mode
+
+
+def test_no_connection_without_power_or_in_local_control(machine: Emulator, robot: Ur7e) -> None:
+    machine.call(lambda: machine.controller.power(RobotMode.IDLE))
+    with pytest.raises(RobotError, match="brakes are on"):
+        robot.connect()
+    machine.call(lambda: machine.controller.power(RobotMode.RUNNING))
+    machine.call(lambda: setattr(machine.controller, "remote", False))
+    with pytest.raises(RobotError, match="local control"):
+        robot.connect()
+    assert machine.controller.uploads == 0
+
+
+def test_a_protective_stop_is_acknowledged_after_5_s_and_begins_where_the_arm_is(
+    machine: Emulator, robot: Ur7e, rig: Rig
+) -> None:
+    with robot:
+        error = during_motion(robot, rig, lambda: machine.call(machine.controller.protective_stop))
+        assert isinstance(error, ProtectiveStopError)
+        stopped = machine.controller.time
+        # Early: the controller refuses, and it stays locked.
+        assert machine.call(machine.controller.unlock_protective_stop) is False
+        robot.acknowledge_stop()
+        assert machine.controller.time - stopped >= 5.0
+        assert machine.controller.safety_mode is SafetyMode.NORMAL
+        here = robot.state().q
+        stream = Stream(robot, rig)
+        before = len(machine.controller.wire or [])
+        stream.run(stream.target, 0.1)
+        wire = machine.controller.wire or []
+        assert len(wire) > before
+        np.testing.assert_allclose(wire[before][1], here, atol=1e-6)
+
+
+def test_a_second_protective_stop_waits_again(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    with robot:
+        during_motion(robot, rig, lambda: machine.call(machine.controller.protective_stop))
+        robot.acknowledge_stop()
+        during_motion(robot, rig, lambda: machine.call(machine.controller.protective_stop))
+        stopped = machine.controller.time
+        robot.acknowledge_stop()
+        assert machine.controller.time - stopped >= 5.0
+        assert machine.controller.protective_stops == 2
+
+
+def test_silence_of_the_controller_stops_the_setpoints(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    """Data stops, but what we send would still be obeyed: the arm must get nothing more."""
+    at: list[float] = []
+
+    def mute() -> None:
+        machine.mute = True
+        at.append(machine.controller.time)
+
+    with robot:
+        error = during_motion(robot, rig, lambda: machine.call(mute))
+        assert isinstance(error, StaleError)
+        assert rig.controller is not None
+        time.sleep(0.2)
+        last = (machine.controller.wire or [])[-1][0]
+        # Its clock is the emulator's own; on a busy machine the limit's 50 ms get 100 more.
+        assert last - at[0] <= rig.controller.freshness + 0.150
+        assert wait_for(lambda: is_still(machine), 1.0)
+        with pytest.raises(StaleError):
+            robot.state()
+
+
+def test_a_frozen_controller_is_noticed(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    with robot:
+        began = time.monotonic()
+        error = during_motion(robot, rig, lambda: setattr(machine, "frozen", True))
+        assert isinstance(error, StaleError)
+        assert time.monotonic() - began < 5.0
+        machine.frozen = False
+    assert wait_for(lambda: machine.controller.program is None)
+
+
+def test_a_dropped_link_is_one_error_one_upload_and_no_zombie(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    with robot:
+        process = robot._process
+        assert process is not None
+        error = during_motion(robot, rig, lambda: machine.call(machine.drop_link))
+        assert isinstance(error, StaleError)
+        assert wait_for(lambda: machine.controller.program is None)
+        assert process.poll() is not None, "reaped, not left as a zombie"
+        time.sleep(0.5)
+    assert machine.controller.uploads == 1
+    assert machine.controller.program is None
+    assert is_still(machine)
+
+
+def test_a_killed_link_process_is_noticed(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    with robot:
+        process = robot._process
+        assert process is not None
+        error = during_motion(robot, rig, lambda: process.send_signal(signal.SIGSEGV))
+        assert "SIGSEGV" in str(error)
+        assert wait_for(lambda: is_still(machine) and machine.controller.program is None)
+
+
+DRIVER = """
+import sys, numpy as np
+from hardware.robotiq import Robotiq
+from hardware.stream import Stream
+from hardware.ur7e import Ur7e
+from resync_robot.core.joints import JointTarget
+from tests import emulators
+rig = emulators.rig_at(sys.argv[1])
+with Ur7e(rig, Robotiq(sys.argv[1])) as robot:
+    stream = Stream(robot, rig)
+    for k in range(100000):
+        q = rig.arm.home.copy()
+        q[0] += 0.2 * np.sin(0.04 * k)
+        stream.run(JointTarget(q, 0.1), 0.02)
+        if k == 20:
+            print("moving", robot._process.pid, flush=True)
+"""
+
+
+@pytest.mark.parametrize("link_too", [False, True], ids=["driver", "driver and link"])
+def test_a_killed_client_leaves_the_robot_stopped(machine: Emulator, link_too: bool) -> None:
+    """With the link alive it brakes and ends its program; without, the controller's own watchdog has to."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", DRIVER, machine.address], stdout=subprocess.PIPE, text=True, cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *(p for p in sys.path if p)])},
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        link = int(process.stdout.readline().split()[1])
+        assert machine.controller.program is not None
+        process.kill()
+        if link_too:
+            os.kill(link, signal.SIGKILL)
+        assert wait_for(lambda: machine.controller.program is None, 5.0)
+        assert wait_for(lambda: is_still(machine), 2.0)
+    finally:
+        process.kill()
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def test_only_one_program_controls_the_robot(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    with robot, pytest.raises(RobotError, match=r"another program controls|no control of"):
+        Ur7e(rig, Robotiq(machine.address)).connect()
+    assert machine.controller.uploads == 1
+
+
+def test_payload_and_tcp_are_set_and_verified(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    with robot:
+        assert rig.controller is not None
+        assert machine.controller.payload == rig.controller.payload
+        assert machine.controller.tcp[2] == rig.gripper.tip_offset
+
+
+def test_a_controller_that_keeps_another_tcp_is_not_driven(
+    machine: Emulator, robot: Ur7e, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        type(machine.controller), "tcp", property(lambda c: (0.0,) * 6, lambda c, v: None), raising=False
+    )
+    with pytest.raises(RobotError, match="TCP"):
+        robot.connect()
+    assert machine.controller.wire == []
+
+
+@pytest.mark.parametrize(("slider", "mode", "fraction"), [(0.5, 1, 0.5), (1.0, 2, 0.5), (0.25, 1, 0.25)])
+def test_the_slider_and_reduced_mode_stretch_the_plan(
+    machine: Emulator, robot: Ur7e, rig: Rig, slider: float, mode: int, fraction: float
+) -> None:
+    machine.call(lambda: setattr(machine.controller, "slider", slider))
+    machine.call(lambda: machine.controller.set_safety(SafetyMode(mode)))
+    with robot:
+        assert robot.speed_fraction == pytest.approx(fraction)
+        stream = Stream(robot, rig)
+        wire = machine.controller.wire
+        assert wire is not None
+        wire.clear()
+        for k in range(5):
+            q = rig.arm.home.copy()
+            q[0] += 0.004 * (k + 1)
+            stream.run(JointTarget(q, 0.1), 0.02)
+        stream.stop()
+        assert wait_for(lambda: len(wire) >= 5 * round(0.02 / fraction / 0.002))
+
+
+def test_a_slider_at_zero_is_named(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    machine.call(lambda: setattr(machine.controller, "slider", 0.0))
+    with robot, pytest.raises(RobotError, match="slider"):
+        Stream(robot, rig).run(JointTarget(rig.arm.home, 0.1), 0.02)
+
+
+def test_too_much_force_stops_the_stream(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    with robot:
+        stream = Stream(robot, rig)
+        swing(stream, rig, 0.2)
+        machine.controller.arm.force[:] = (0.0, 0.0, 400.0)  # type: ignore[attr-defined]
+        with pytest.raises(SafetyError, match="force") as caught:
+            swing(stream, rig, 2.0, begin=0.2)
+        assert caught.value.quantity == "force"
+        assert wait_for(lambda: is_still(machine))
+
+
+def test_nobody_there_is_one_sentence(rig: Rig) -> None:
+    nowhere = emulators.rig_at(emulators.address())
+    with pytest.raises(RobotError, match="no controller at"):
+        Ur7e(nowhere, Robotiq("127.0.0.250")).connect()
+
+
+def test_the_controllers_remote_check_sees_local_mode() -> None:
+    with emulators.emulated(ControllerSettings(remote=False)) as machine:
+        with pytest.raises(RobotError, match="local control"):
+            Ur7e(emulators.rig_at(machine.address), Robotiq(machine.address)).connect()
+        assert machine.controller.uploads == 0
