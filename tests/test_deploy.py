@@ -147,7 +147,7 @@ def test_without_a_vulkan_device_physics_goes_on_and_pictures_are_one_error(libr
 def test_a_recording_is_run_over_by_the_same_executive(
     renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    args = ["--library", str(library), "--perception", "oracle", "--dry-run"]
+    args = ["--library", str(library), "--perception", "camera", "--dry-run"]
     assert cli.main(["deploy", *args, "--out", str(tmp_path / "run")]) == 0
     first = capsys.readouterr().out
     (path,) = episodes(tmp_path / "run")
