@@ -111,7 +111,7 @@ def replay() -> Iterator[Backend]:
 BACKENDS = {"sim": sim, "ur7e": ur7e, "replay": replay}
 
 
-@pytest.fixture(params=BACKENDS)
+@pytest.fixture(params=["sim", pytest.param("ur7e", marks=pytest.mark.realtime), "replay"])
 def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
     with BACKENDS[request.param]() as made:
         yield made

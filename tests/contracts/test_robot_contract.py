@@ -13,8 +13,6 @@ from hardware.stream import Stream
 from resync_robot.core.joints import JointTarget
 from tests.contracts.conftest import Backend
 
-pytestmark = pytest.mark.realtime
-
 
 def hold(robot: Robot, q: np.ndarray, opening: float, seconds: float) -> None:
     for _ in range(round(seconds / SERVO_PERIOD)):
