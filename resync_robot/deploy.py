@@ -77,7 +77,7 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import learned_model, shipped_library
     from resync_robot.planning.execute import End
-    from resync_robot.planning.search import plan
+    from resync_robot.planning.suppose import find_plan
     from resync_robot.progress import say
     from resync_robot.run_folder import check_folder, default_folder
     from sim_training.domains import find_domain
@@ -100,7 +100,8 @@ def deploy(config: DeployConfig) -> int:
     if config.goal is not None:
         for task in tasks:
             # A goal out of reach is a mistake of whoever typed it: said at once, before anything moves.
-            plan(model.operators, task.objects, model.abstraction.true_atoms(task.initial), task.goal)
+            atoms = model.abstraction.true_atoms(task.initial)
+            find_plan(model.operators, model.abstraction, task.objects, atoms, task.goal)
     folder = config.out or default_folder("deploy")
     check_folder(folder)
     if library.rig_hash != rig.hash:

@@ -157,12 +157,43 @@ class Abstraction:
         """The atoms that hold: those above `HOLDS`."""
         return frozenset(a for a, p in self.abstract(state).items() if p > HOLDS)
 
+    def is_derived(self, predicate: Predicate) -> bool:
+        """Does the predicate follow from another one, rather than from the state?"""
+        return isinstance(self.classifiers[predicate.name], Form)
+
+    def derive(self, atoms: Atoms, objects: Iterable[Object]) -> Atoms:
+        """`atoms` with those of derived predicates put in order: what follows from the others holds, nothing else.
+
+        A derived predicate whose base is not grounded itself cannot be judged from atoms, and keeps its own.
+        """
+        pool = tuple(objects)
+        grounded = {p.name for p in self.predicates}
+        known = {p: {a.args for a in atoms if a.predicate == p} for p in self.predicates}
+        judged: set[str] = {p.name for p in self.predicates if not self.is_derived(p)}
+        waiting = [p for p in self.predicates if p.name not in judged]
+        while ready := [p for p in waiting if self._base(p).name in judged or self._base(p).name not in grounded]:
+            for predicate in ready:
+                form = self.classifiers[predicate.name]
+                judged.add(predicate.name)
+                waiting.remove(predicate)
+                if not isinstance(form, Form) or form.base.name not in grounded:
+                    continue
+                groups: dict[tuple[Object, ...], list[float]] = {args: [] for args in _groundings(predicate, pool)}
+                for args in _groundings(form.base, pool):
+                    groups[form.keeps(args)].append(float(args in known[form.base]))
+                known[predicate] = {args for args, values in groups.items() if form.combine(values) > HOLDS}
+        return frozenset(Atom(p, args) for p, holding in known.items() for args in holding)
+
+    def _base(self, predicate: Predicate) -> Predicate:
+        form = self.classifiers[predicate.name]
+        return form.base if isinstance(form, Form) else predicate
+
     def _values(
         self, predicate: Predicate, state: State, known: dict[str, dict[tuple[Object, ...], float]]
     ) -> dict[tuple[Object, ...], float]:
         if predicate.name in known:
             return known[predicate.name]
-        groundings = distinct_products([[o for o in state.objects if o.type == t] for t in predicate.types])
+        groundings = _groundings(predicate, state.objects)
         classifier = self.classifiers[predicate.name]
         if isinstance(classifier, Form):
             groups: dict[tuple[Object, ...], list[float]] = {args: [] for args in groundings}
@@ -175,3 +206,7 @@ class Abstraction:
             values = [float(classifier(state, args)) for args in groundings]
         known[predicate.name] = dict(zip(groundings, values, strict=True))
         return known[predicate.name]
+
+
+def _groundings(predicate: Predicate, objects: Sequence[Object]) -> list[tuple[Object, ...]]:
+    return distinct_products([[o for o in objects if o.type == t] for t in predicate.types])

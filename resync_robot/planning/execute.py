@@ -19,7 +19,8 @@ from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Operator
 from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import Observation, World
 from resync_robot.planning.abstract import HOLDS, Abstraction
-from resync_robot.planning.search import Plan, plan
+from resync_robot.planning.search import Plan
+from resync_robot.planning.suppose import find_plan
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,9 @@ def plan_f(
         if goal <= atoms:
             return ended(End.GOAL)
         try:
-            found = plan(model.operators, state.objects, atoms, goal, heuristic=s.heuristic)
+            found, supposed = find_plan(
+                model.operators, model.abstraction, state.objects, atoms, goal, heuristic=s.heuristic
+            )
         except PlanningError as error:
             if not distrusted:
                 return ended(End.NO_PLAN, error.what)
@@ -148,7 +151,7 @@ def plan_f(
             distrusted.clear()
             continue
         plans.append(found)
-        listener.on_plan(found, reason)
+        listener.on_plan(found, f"{reason}; no plan otherwise, perhaps {supposed}" if supposed else reason)
         for index, step in enumerate(found.steps):
             if not step.applicable(atoms):
                 missing = ", ".join(map(str, sorted(step.preconditions - atoms)))

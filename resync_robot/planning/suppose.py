@@ -1,0 +1,84 @@
+"""Where no plan exists: suppose that one step also ends a relation that nobody has said it ends.
+
+Operators learned from few situations leave effects out. That a block which is lifted off another no longer lies on it,
+and that the lower one is bare from then on, is such an effect where training never lifted one off. The planner then
+sees no way on, though there is one. So it asks of each step that it could take now: would there be a plan if what the
+step moves were no longer related to things that the step does not name? The step is taken, and the next look at the
+scene says what is true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from resync_robot.core.errors import PlanningError
+from resync_robot.core.symbols import Atoms, Object, Operator, Predicate
+from resync_robot.planning.abstract import Abstraction
+from resync_robot.planning.search import Plan, ground_all, plan
+
+
+def find_plan(
+    operators: Sequence[Operator],
+    abstraction: Abstraction,
+    objects: Iterable[Object],
+    atoms: Atoms,
+    goal: Atoms,
+    heuristic: str = "lmcut",
+) -> tuple[Plan, str]:
+    """A plan by the operators as they are, or else the shortest one that begins with a supposition.
+
+    Returns:
+        The plan, and what it supposes: empty, or words such as "Pick(r, b2) ends On".
+
+    Raises:
+        PlanningError: there is neither.
+    """
+    objects = tuple(objects)
+    try:
+        return plan(operators, objects, atoms, goal, heuristic), ""
+    except PlanningError as error:
+        supposed = _suppose(operators, abstraction, objects, atoms, goal, heuristic)
+        if supposed is None:
+            raise error
+        return supposed
+
+
+def _suppose(
+    operators: Sequence[Operator],
+    abstraction: Abstraction,
+    objects: tuple[Object, ...],
+    atoms: Atoms,
+    goal: Atoms,
+    heuristic: str,
+) -> tuple[Plan, str] | None:
+    best: tuple[Plan, str] | None = None
+    for step in ground_all(operators, objects):
+        if not step.applicable(atoms):
+            continue
+        after = step.apply(atoms)
+        for relation in _relations(abstraction, after, step.objects):
+            changed = abstraction.derive(_without(after, relation, step.objects), objects)
+            if changed == after:
+                continue
+            try:
+                rest = plan(operators, objects, changed, goal, heuristic)
+            except PlanningError:
+                continue
+            if best is None or len(rest.steps) + 1 < len(best[0].steps):
+                whole = Plan((step, *rest.steps), rest.nodes_created, rest.seconds)
+                best = whole, f"{step} ends {relation.name}"
+    return best
+
+
+def _relations(abstraction: Abstraction, atoms: Atoms, moved: Sequence[Object]) -> list[Predicate]:
+    """The predicates, none of them derived, that relate something in `moved` to something that is not."""
+    found = {a.predicate for a in atoms if _crosses(a.args, moved) and not abstraction.is_derived(a.predicate)}
+    return sorted(found)
+
+
+def _without(atoms: Atoms, relation: Predicate, moved: Sequence[Object]) -> Atoms:
+    return frozenset(a for a in atoms if a.predicate != relation or not _crosses(a.args, moved))
+
+
+def _crosses(args: Sequence[object], moved: Sequence[Object]) -> bool:
+    return any(a in moved for a in args) and any(a not in moved for a in args)

@@ -1,0 +1,105 @@
+"""A step may end a relation that no operator speaks of: what is supposed then, and what is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from resync_robot.core.errors import PlanningError
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atom, Atoms, Object, Operator, Predicate, Variable
+from resync_robot.core.vocabulary import BLOCK
+from resync_robot.planning.abstract import Abstraction, Exists, ForAll, Not
+from resync_robot.planning.suppose import find_plan
+from tests.planning.models import BLOCKS, HAND_EMPTY, HOLDING, ON, PICK, PREDICATES, RECOVER, ROBOT_0, scene
+
+COVERED = Exists(ON, (0,))
+BARE = Not(COVERED.predicate)
+_r, _b0, _b1 = PICK.parameters[0], Variable("?b0", BLOCK), Variable("?b1", BLOCK)
+INSERT = Operator(
+    "Insert",
+    (_r, _b0, _b1),
+    frozenset({HOLDING(_r, _b0), BARE.predicate(_b1)}),
+    frozenset({ON(_b0, _b1), HAND_EMPTY(_r), COVERED.predicate(_b1)}),
+    frozenset({HOLDING(_r, _b0), BARE.predicate(_b1)}),
+)
+OPERATORS = (PICK, INSERT, RECOVER)
+B0, B1, B2, _ = BLOCKS
+
+
+def never(_state: State, _objects: tuple[Object, ...]) -> float:
+    return 0.0
+
+
+ABSTRACTION = Abstraction(
+    (*PREDICATES, COVERED.predicate, BARE.predicate),
+    {p.name: never for p in PREDICATES} | {COVERED.predicate.name: COVERED, BARE.predicate.name: BARE},
+)
+
+
+def stacked(*pairs: tuple[Object, Object]) -> tuple[list[Object], Atoms]:
+    """Three free blocks, an empty hand, the first of each pair on the second."""
+    objects, atoms = scene(3, set())
+    return objects, ABSTRACTION.derive(atoms | {ON(a, b) for a, b in pairs}, objects)
+
+
+def test_what_lies_on_the_wrong_base_is_lifted_off_though_no_operator_says_that_this_bares_it() -> None:
+    objects, atoms = stacked((B2, B0))
+    found, supposed = find_plan(OPERATORS, ABSTRACTION, objects, atoms, frozenset({ON(B1, B0), ON(B2, B1)}))
+    assert [str(s) for s in found.steps][:2] == ["Pick(robot, b2)", "Insert(robot, b2, b1)"]
+    assert supposed == "Pick(robot, b2) ends On"
+
+
+def test_nothing_is_supposed_where_a_plan_exists() -> None:
+    objects, atoms = stacked()
+    found, supposed = find_plan(OPERATORS, ABSTRACTION, objects, atoms, frozenset({ON(B1, B0)}))
+    assert supposed == "" and len(found.steps) == 2
+
+
+def test_a_goal_that_no_supposition_reaches_is_out_of_reach() -> None:
+    objects, atoms = stacked((B2, B0))
+    lifted = Predicate("Lifted", (BLOCK,))
+    with pytest.raises(PlanningError, match="nothing achieves"):
+        find_plan(OPERATORS, ABSTRACTION, objects, atoms, frozenset({lifted(B0)}))
+
+
+def test_the_shortest_way_on_is_taken() -> None:
+    objects, atoms = stacked((B1, B0))
+    found, _ = find_plan(OPERATORS, ABSTRACTION, objects, atoms, frozenset({ON(B2, B0)}))
+    assert found.steps[0].applicable(atoms) and str(found.steps[0]) == "Pick(robot, b1)"
+
+
+@given(st.sets(st.tuples(st.sampled_from(BLOCKS), st.sampled_from(BLOCKS)).filter(lambda p: p[0] != p[1])))
+def test_deriving_from_atoms_agrees_with_deriving_from_the_state(pairs: set[tuple[Object, Object]]) -> None:
+    objects, _ = scene(4, set())
+
+    def on(_state: State, args: tuple[Object, ...]) -> float:
+        return float(args in pairs)
+
+    everything = ForAll(ON, (0, 1))
+    predicates = (ON, COVERED.predicate, BARE.predicate, everything.predicate)
+    abstraction = Abstraction(
+        predicates,
+        {"On": on, COVERED.predicate.name: COVERED, BARE.predicate.name: BARE, everything.predicate.name: everything},
+    )
+    state = State({o: np.zeros(len(o.type.features)) for o in objects})
+    atoms = abstraction.true_atoms(state)
+    basic = frozenset(a for a in atoms if a.predicate == ON)
+    assert abstraction.derive(basic, objects) == atoms
+    # What was derived from other atoms before does not linger.
+    assert abstraction.derive(basic | {COVERED.predicate(b) for b in BLOCKS}, objects) == atoms
+
+
+def test_a_predicate_whose_base_is_not_grounded_keeps_its_atoms() -> None:
+    objects, _ = scene(2, set())
+    abstraction = Abstraction((COVERED.predicate,), {"On": never, COVERED.predicate.name: COVERED})
+    kept = frozenset({Atom(COVERED.predicate, (B0,))})
+    assert abstraction.derive(kept, objects) == kept
+
+
+def test_the_hand_is_no_outsider_of_what_it_holds() -> None:
+    objects, atoms = stacked((B2, B0))
+    _, supposed = find_plan(OPERATORS, ABSTRACTION, objects, atoms, frozenset({ON(B1, B0), ON(B2, B1)}))
+    assert ROBOT_0.name in supposed and "Holding" not in supposed
