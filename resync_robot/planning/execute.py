@@ -129,6 +129,7 @@ def plan_f(
     plans: list[Plan] = []
     failures: Counter[str] = Counter()
     distrusted: set[Atom] = set()
+    supposed_before: set[str] = set()
     state, atoms = _look(world, model, distrusted, listener)
     reason = "start"
 
@@ -141,7 +142,7 @@ def plan_f(
             return ended(End.GOAL)
         try:
             found, supposed = find_plan(
-                model.operators, model.abstraction, state.objects, atoms, goal, heuristic=s.heuristic
+                model.operators, model.abstraction, state.objects, atoms, goal, s.heuristic, supposed_before
             )
         except PlanningError as error:
             if not distrusted:
@@ -151,6 +152,7 @@ def plan_f(
             distrusted.clear()
             continue
         plans.append(found)
+        supposed_before.add(supposed)
         listener.on_plan(found, f"{reason}; no plan otherwise, perhaps {supposed}" if supposed else reason)
         for index, step in enumerate(found.steps):
             if not step.applicable(atoms):

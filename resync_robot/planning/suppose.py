@@ -9,7 +9,7 @@ scene says what is true.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate
@@ -24,8 +24,12 @@ def find_plan(
     atoms: Atoms,
     goal: Atoms,
     heuristic: str = "lmcut",
+    disproved: Container[str] = (),
 ) -> tuple[Plan, str]:
     """A plan by the operators as they are, or else the shortest one that begins with a supposition.
+
+    Args:
+        disproved: suppositions, in the words that were returned, that are not made again.
 
     Returns:
         The plan, and what it supposes: empty, or words such as "Pick(r, b2) ends On".
@@ -37,7 +41,7 @@ def find_plan(
     try:
         return plan(operators, objects, atoms, goal, heuristic), ""
     except PlanningError as error:
-        supposed = _suppose(operators, abstraction, objects, atoms, goal, heuristic)
+        supposed = _suppose(operators, abstraction, objects, atoms, goal, heuristic, disproved)
         if supposed is None:
             raise error
         return supposed
@@ -50,6 +54,7 @@ def _suppose(
     atoms: Atoms,
     goal: Atoms,
     heuristic: str,
+    disproved: Container[str],
 ) -> tuple[Plan, str] | None:
     best: tuple[Plan, str] | None = None
     for step in ground_all(operators, objects):
@@ -57,6 +62,9 @@ def _suppose(
             continue
         after = step.apply(atoms)
         for relation in _relations(abstraction, after, step.objects):
+            words = f"{step} ends {relation.name}"
+            if words in disproved:
+                continue
             changed = abstraction.derive(_without(after, relation, step.objects), objects)
             if changed == after:
                 continue
@@ -66,7 +74,7 @@ def _suppose(
                 continue
             if best is None or len(rest.steps) + 1 < len(best[0].steps):
                 whole = Plan((step, *rest.steps), rest.nodes_created, rest.seconds)
-                best = whole, f"{step} ends {relation.name}"
+                best = whole, words
     return best
 
 

@@ -12,6 +12,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, Object, Operator, Predicate, Variable
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.planning.abstract import Abstraction, Exists, ForAll, Not
+from resync_robot.planning.search import ground_all
 from resync_robot.planning.suppose import find_plan
 from tests.planning.models import BLOCKS, HAND_EMPTY, HOLDING, ON, PICK, PREDICATES, RECOVER, ROBOT_0, scene
 
@@ -65,10 +66,20 @@ def test_a_goal_that_no_supposition_reaches_is_out_of_reach() -> None:
         find_plan(OPERATORS, ABSTRACTION, objects, atoms, frozenset({lifted(B0)}))
 
 
-def test_the_shortest_way_on_is_taken() -> None:
+def test_the_shortest_way_on_is_taken_and_another_once_that_is_disproved() -> None:
     objects, atoms = stacked((B1, B0))
-    found, _ = find_plan(OPERATORS, ABSTRACTION, objects, atoms, frozenset({ON(B2, B0)}))
-    assert found.steps[0].applicable(atoms) and str(found.steps[0]) == "Pick(robot, b1)"
+    goal = frozenset({ON(B2, B0)})
+    disproved: set[str] = set()
+    lengths = []
+    for _ in range(2):
+        found, supposed = find_plan(OPERATORS, ABSTRACTION, objects, atoms, goal, disproved=disproved)
+        assert found.steps[0].applicable(atoms) and supposed not in disproved
+        disproved.add(supposed)
+        lengths.append(len(found.steps))
+    assert lengths == sorted(lengths)
+    disproved |= {f"{step} ends On" for step in ground_all(OPERATORS, objects)}
+    with pytest.raises(PlanningError):
+        find_plan(OPERATORS, ABSTRACTION, objects, atoms, goal, disproved=disproved)
 
 
 @given(st.sets(st.tuples(st.sampled_from(BLOCKS), st.sampled_from(BLOCKS)).filter(lambda p: p[0] != p[1])))
