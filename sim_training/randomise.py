@@ -1,38 +1,73 @@
-"""What is drawn anew for every episode: friction, masses, gains, sizes, colours, light."""
+"""What is drawn anew for every episode: friction, masses, gains, sizes, colours, surfaces, light."""
 
 from __future__ import annotations
 
 import colorsys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from sim_training import textures
 
 BLOCK_HUES = {"b0": 0.00, "b1": 0.60, "b2": 0.14, "b3": 0.36}
 """Red, blue, yellow, green: what tells the blocks apart for a camera."""
 
 
-def draw_physics(rng: np.random.Generator, blocks: Sequence[str]) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Ranges:
+    """From where physics and looks are drawn.
+
+    Attributes:
+        beyond: 0 draws between the edges that are written at each quantity. Above, it draws outside them on either
+            side, up to this share of the edge: worlds like none in training.
+        surfaces: kinds of surfaces of table and box; none: they are plain.
+        light_gain: factors on the strength of lights.
+    """
+
+    beyond: float = 0.0
+    surfaces: tuple[str, ...] = ()
+    light_gain: tuple[float, float] = (1.0, 1.0)
+
+    def draw(self, rng: np.random.Generator, low: float, high: float) -> float:
+        """One value between the edges, or outside them."""
+        value = float(rng.uniform(low, high))
+        if self.beyond == 0.0:
+            return value
+        share = (value - low) / (high - low)
+        # The same draw, sent to one side or the other, so that a world keeps all else.
+        return low * (1 - self.beyond * (1 - 2 * share)) if share < 0.5 else high * (1 + self.beyond * (2 * share - 1))
+
+
+USUAL = Ranges()
+PICTURED = Ranges(surfaces=textures.TRAINED, light_gain=(0.8, 1.2))
+"""What camera policies learn from."""
+UNSEEN = Ranges(beyond=0.10, surfaces=textures.UNSEEN, light_gain=(0.7, 1.3))
+"""Up to a tenth beyond the edges of training, with surfaces and lights that it never drew."""
+
+
+def draw_physics(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges = USUAL) -> dict[str, Any]:
     """Physics and looks of one episode. Friction combines by average: pad on block stays well above
     block on box floor, or no hand could press and drag."""
     return {
-        "friction_pad": float(rng.uniform(1.0, 1.3)),
-        "friction_block": float(rng.uniform(0.3, 0.55)),
-        "friction_box": float(rng.uniform(0.2, 0.42)),
-        "gain": float(rng.uniform(0.8, 1.2)),
-        "masses": {b: float(rng.uniform(0.05, 0.16)) for b in blocks},
-        **draw_looks(rng, blocks),
+        "friction_pad": ranges.draw(rng, 1.0, 1.3),
+        "friction_block": ranges.draw(rng, 0.3, 0.55),
+        "friction_box": ranges.draw(rng, 0.2, 0.42),
+        "gain": ranges.draw(rng, 0.8, 1.2),
+        "masses": {b: ranges.draw(rng, 0.05, 0.16) for b in blocks},
+        **draw_looks(rng, blocks, ranges),
     }
 
 
-def draw_looks(rng: np.random.Generator, blocks: Sequence[str]) -> dict[str, Any]:
-    """Colours near the catalogue's, and a light."""
+def draw_looks(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges = USUAL) -> dict[str, Any]:
+    """Colours near the catalogue's, surfaces, and a light."""
     colours = {}
     for name in blocks:
         hue = (BLOCK_HUES.get(name, 0.8) + rng.uniform(-0.02, 0.02)) % 1.0
         colours[name] = colorsys.hsv_to_rgb(hue, rng.uniform(0.8, 0.95), rng.uniform(0.65, 0.9))
     grey, wood = rng.uniform(0.28, 0.42), rng.uniform(0.9, 1.1)
-    return {
+    looks: dict[str, Any] = {
         "colours": colours,
         "box_colour": (grey, grey + 0.01, grey + 0.02),
         "table_colour": tuple(float(np.clip(c * wood, 0, 1)) for c in (0.75, 0.70, 0.62)),
@@ -43,3 +78,9 @@ def draw_looks(rng: np.random.Generator, blocks: Sequence[str]) -> dict[str, Any
             "direction": (float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-0.5, 0.5)), -1.0),
         },
     }
+    # Drawn last, and only where wanted: the usual worlds stay what they are.
+    if ranges.light_gain != (1.0, 1.0):
+        looks["light"]["strength"] *= float(rng.uniform(*ranges.light_gain))
+    if ranges.surfaces:
+        looks["surfaces"] = {what: textures.draw_surface(rng, ranges.surfaces) for what in ("table", "box")}
+    return looks

@@ -19,7 +19,7 @@ from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX
-from sim_training import parts
+from sim_training import parts, textures
 
 FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
 PERIOD = 0.01
@@ -114,8 +114,13 @@ def _material(friction: float) -> physx.PhysxMaterial:
     return physx.PhysxMaterial(friction, friction, 0.0)
 
 
-def _visual(colour: Any, roughness: float = 0.6, metallic: float = 0.0) -> render.RenderMaterial:
+def _visual(
+    colour: Any, roughness: float = 0.6, metallic: float = 0.0, surface: Mapping[str, Any] | None = None
+) -> render.RenderMaterial:
     material = render.RenderMaterial()
+    if surface is not None:
+        pixels = textures.surface(**surface, colour=tuple(float(c) for c in colour[:3]))
+        material.base_color_texture = render.RenderTexture2D(pixels, "R8G8B8A8Unorm")
     material.base_color = [*(float(c) for c in colour[:3]), 1.0]
     material.roughness, material.metallic, material.specular = roughness, metallic, 0.3
     return material
@@ -205,16 +210,18 @@ def _attach_shapes(
 
 def add_table(scene: sapien.Scene, physics: Mapping[str, Any], rendered: bool) -> None:
     slab = parts.Cuboid(np.array([0.35, -0.05, -0.02]), np.array([0.75, 0.75, 0.02]))
-    _add_static(scene, "table", sapien.Pose(), [slab], 0.4, physics.get("table_colour", (0.75, 0.68, 0.58)), rendered)
+    colour = physics.get("table_colour", (0.75, 0.68, 0.58))
+    paint = _visual(colour, surface=physics.get("surfaces", {}).get("table")) if rendered else None
+    _add_static(scene, "table", sapien.Pose(), [slab], 0.4, paint)
 
 
 def _add_static(
-    scene: sapien.Scene, name: str, pose: sapien.Pose, shapes: Any, friction: float, colour: Any, rendered: bool
+    scene: sapien.Scene, name: str, pose: sapien.Pose, shapes: Any, friction: float, paint: render.RenderMaterial | None
 ) -> sapien.Entity:
     entity = _entity(scene, name, pose)
     body = physx.PhysxRigidStaticComponent()
-    look = render.RenderBodyComponent() if rendered else None
-    _attach_shapes(body, look, shapes, _material(friction), _visual(colour) if rendered else None)
+    look = render.RenderBodyComponent() if paint is not None else None
+    _attach_shapes(body, look, shapes, _material(friction), paint)
     entity.add_component(body)
     if look is not None:
         entity.add_component(look)
@@ -226,7 +233,8 @@ def add_box(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sap
     shapes = parts.box_shapes(*task.initial.get(obj, "inner_x", "inner_y", "wall_z", "wall_thickness"))
     pose = _pose(task.initial[obj][:7])
     colour = task.physics.get("box_colour", (0.35, 0.37, 0.40))
-    return _add_static(scene, obj.name, pose, shapes, task.physics["friction_box"], colour, rendered)
+    paint = _visual(colour, surface=task.physics.get("surfaces", {}).get("box")) if rendered else None
+    return _add_static(scene, obj.name, pose, shapes, task.physics["friction_box"], paint)
 
 
 def add_block(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:

@@ -26,12 +26,18 @@ class Task:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A family of tasks. `training` scenarios elicit the failure; the others test generalisation."""
+    """A family of tasks. `training` scenarios elicit the failure; the others test generalisation.
+
+    Attributes:
+        sample: (rng, seed) -> a task with physics and looks as training draws them.
+        sample_unseen: the same, with physics, sizes and looks that training never draws.
+    """
 
     name: str
     description: str
     goal: Callable[[Domain], Atoms]
     sample: Callable[[np.random.Generator, int], Task]
+    sample_unseen: Callable[[np.random.Generator, int], Task]
     training: bool = False
 
 

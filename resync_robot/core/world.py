@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -35,6 +35,34 @@ class CameraFrame:
     DEPTH_UNIT_M = 1e-4
 
 
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A rectangle of a camera's picture, in its pixels, counted from the upper left edge."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Glimpse:
+    """A window of a picture, scaled to (size, size).
+
+    Attributes:
+        colour: (size, size, 3) uint8, RGB.
+        time: seconds on the robot's clock when it was exposed.
+    """
+
+    name: str
+    colour: UInt8[np.ndarray, "size size 3"]
+    time: float
+
+
+Look = Callable[[str, Window, int], Glimpse]
+"""(camera, window, size) -> what that camera sees there now. Raises UnknownNameError or PerceptionError."""
+
+
 @dataclass(frozen=True)
 class Observation:
     """What a skill sees at one control step.
@@ -46,7 +74,7 @@ class Observation:
         opening: measured free distance between the pads, m.
         tip_force: (3,) force that the world exerts on the hand, N, world frame, estimated.
         state: the current belief about the objects, the robot's own features always measured.
-        images: pictures by camera name, where the world has any.
+        look: takes pictures, where the world has cameras that a skill may look through while it runs.
     """
 
     time: float
@@ -55,7 +83,7 @@ class Observation:
     opening: float
     tip_force: Float[np.ndarray, "3"]
     state: State
-    images: Mapping[str, CameraFrame] = field(default_factory=dict)
+    look: Look | None = None
 
 
 class World(Protocol):

@@ -121,9 +121,14 @@ def commanded_tip(x: Tensor, action: Tensor) -> Tensor:
     step = STEP * action.clamp(-1, 1)
     planar = step[:, :2] * sign
     world = planar[:, :1] * along_x + planar[:, 1:] * along_y
-    moved = x[:, COMMANDED] + torch.cat([world, step[:, 2:]], -1)
+    return within_reach(x, x[:, COMMANDED] + torch.cat([world, step[:, 2:]], -1))
+
+
+def within_reach(x: Tensor, wanted: Tensor) -> Tensor:
+    """(n, 3) where a tip that is wanted at (n, 3) is sent: on a leash to where it is, and over the box's interior."""
+    along_x, along_y = box_axes(x)
     tip = x[:, TIP]
-    leashed = tip + (moved - tip).clamp(-LEASH - STEP, LEASH + STEP)
+    leashed = tip + (wanted - tip).clamp(-LEASH - STEP, LEASH + STEP)
     # Keep the tip over the interior: nothing of this skill happens on the walls.
     centre = x[:, BOX][:, :2]
     local = _in_box(x, leashed[:, :2] - centre)

@@ -25,8 +25,13 @@ Seeds below 1000 are for figures that are reported; whoever develops looks at wo
 """
 
 
-def world_task(domain: Domain, scenario: str, seed: int, episode: int) -> Task:
-    """The world of one evaluation episode: a pure function of its arguments, drawn apart from all training."""
+def world_task(domain: Domain, scenario: str, seed: int, episode: int, unseen: bool = False) -> Task:
+    """The world of one evaluation episode: a pure function of its arguments, drawn apart from all training.
+
+    Args:
+        unseen: with friction, masses, sizes and looks beyond what training draws.
+    """
     place = list(domain.scenarios).index(scenario)
     rng = np.random.default_rng([EVALUATION_WORLDS, place, seed, episode])
-    return domain.scenario(scenario).sample(rng, int(rng.integers(2**31)))
+    found = domain.scenario(scenario)
+    return (found.sample_unseen if unseen else found.sample)(rng, int(rng.integers(2**31)))

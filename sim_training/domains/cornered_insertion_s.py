@@ -6,7 +6,7 @@ block does). Nothing here says so: the given model is oblivious, and the physics
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.learning.failures import place_relative, relative_pose
 from sim_training.domains.layouts import THE_BOX, Layout, block_features, sample_task
 from sim_training.parts import CLEARANCE
+from sim_training.randomise import UNSEEN, USUAL, Ranges
 
 HAND_EMPTY = Predicate("HandEmpty", (ROBOT,))
 HOLDING = Predicate("Holding", (ROBOT, BLOCK))
@@ -149,13 +150,11 @@ def _scenario(
 ) -> Scenario:
     """Of several layouts each episode draws one."""
     atoms = frozenset(ON(BLOCK(a), BLOCK(b)) for a, b in goal)
-    return Scenario(
-        name,
-        description,
-        lambda _domain: atoms,
-        lambda rng, seed: sample_task(rng, seed, atoms, layouts[int(rng.integers(len(layouts)))]),
-        training,
-    )
+
+    def sample(ranges: Ranges) -> Callable[[np.random.Generator, int], Task]:
+        return lambda rng, seed: sample_task(rng, seed, atoms, layouts[int(rng.integers(len(layouts)))], ranges)
+
+    return Scenario(name, description, lambda _domain: atoms, sample(USUAL), sample(UNSEEN), training)
 
 
 SCENARIOS = (

@@ -14,7 +14,7 @@ from resync_robot.core.symbols import Atoms
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from sim_training.parts import BOX_FLOOR
-from sim_training.randomise import draw_physics
+from sim_training.randomise import USUAL, Ranges, draw_physics
 
 R, THE_BOX = ROBOT("r"), BOX("box")
 
@@ -35,14 +35,14 @@ def sample_box(rng: np.random.Generator) -> np.ndarray:
     return np.array([x, y, BOX_FLOOR, *spatial.quat_from_yaw(yaw), *inner, rng.uniform(0.10, 0.115), 0.03])
 
 
-def sample_block_sizes(rng: np.random.Generator, names: Sequence[str]) -> dict[str, np.ndarray]:
+def sample_block_sizes(rng: np.random.Generator, names: Sequence[str], ranges: Ranges = USUAL) -> dict[str, np.ndarray]:
     """(3,) extents of each body: one footprint for the set, as building blocks have, and a height each."""
-    width = rng.uniform(0.046, 0.070)
+    width = ranges.draw(rng, 0.046, 0.070)
     sizes = {}
     for name in names:
         # Moulded building blocks agree to a hundredth of a millimetre. Rubber pads would bear more; rigid ones do not.
         side = width + rng.uniform(-0.00001, 0.00001)
-        sizes[name] = np.array([side, side, rng.uniform(0.040, 0.050)])
+        sizes[name] = np.array([side, side, ranges.draw(rng, 0.040, 0.050)])
     return sizes
 
 
@@ -113,13 +113,13 @@ class Layout:
         return (*self.cornered, *self.walled, *self.gapped, *self.free)
 
 
-def sample_task(rng: np.random.Generator, seed: int, goal: Atoms, layout: Layout) -> Task:
+def sample_task(rng: np.random.Generator, seed: int, goal: Atoms, layout: Layout, ranges: Ranges = USUAL) -> Task:
     """A task with every block where `layout` wants it."""
     rig = load_rig()
     while True:
         box = sample_box(rng)
         corners = iter(rng.permutation(4))
-        sizes = sample_block_sizes(rng, layout.names)
+        sizes = sample_block_sizes(rng, layout.names, ranges)
         local: dict[str, tuple[float, float, float]] = {}
         outside: set[str] = set()
         for name in layout.cornered:
@@ -140,7 +140,7 @@ def sample_task(rng: np.random.Generator, seed: int, goal: Atoms, layout: Layout
     features[THE_BOX] = box
     features[R] = np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, rig.gripper.max_opening])
     state = State(features)
-    return Task(state.objects, state, goal, draw_physics(rng, sorted(local)), seed)
+    return Task(state.objects, state, goal, draw_physics(rng, sorted(local), ranges), seed)
 
 
 def _apart(local: dict[str, tuple[float, float, float]]) -> bool:

@@ -1,0 +1,103 @@
+"""What a camera policy sees and does: windows around the hand in three views, the arm's joints, steps of the hand.
+
+The windows are where the calibration says that the finger tips are, so that the block, which lies beneath them, always
+shows near the middle, at the same scale and close to the camera's own resolution. Steps are in the hand's own axes.
+The deployed skill and the rendered scenes that it learns in share every line of this file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from resync_robot.core import spatial
+from resync_robot.core.rig import CameraRig
+from resync_robot.core.world import Window
+
+VIEWS = ("front", "side", "wrist")
+"""The cameras of the rig that a policy looks through, in the order of its inputs."""
+PICTURE = 64
+"""Pixels of a side of what the policy sees."""
+SPAN = 0.28
+"""m that a window shows at the distance of the finger tips."""
+RATE_HZ = 10.0
+STATE_NAMES = (
+    *(f"joint_{i}_rad" for i in range(6)),
+    *(f"tip_{axis}_m" for axis in "xyz"),
+    *(f"lead_{axis}_m" for axis in "xyz"),
+)
+"""Joint positions; the tip in the world, from them; how far the tip has been sent ahead of where it is, hand's axes."""
+ACTION_NAMES = ("forward_m", "left_m", "up_m")
+"""The step from where the tip is being sent to where it is sent next, in the hand's own horizontal axes."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a policy says of n observations.
+
+    Attributes:
+        steps: (n, horizon, 3) m, the next steps of the hand, of which the first begins when the present one ends.
+        done: (n,) probability that there is nothing left to do.
+        offset: (n, 3) m from the tip to the middle of the block's top, in the hand's axes, as far as it can be seen.
+        views: (n, views, views) probability that picture i comes from camera j.
+    """
+
+    steps: Float[np.ndarray, "n h 3"]
+    done: Float[np.ndarray, " n"]
+    offset: Float[np.ndarray, "n 3"]
+    views: Float[np.ndarray, "n v v"]
+
+
+class CameraPolicy(Protocol):
+    """From pictures and proprioception to steps of the hand."""
+
+    def __call__(self, pictures: UInt8[np.ndarray, "n v p p 3"], state: Float[np.ndarray, "n s"]) -> Prediction: ...
+
+
+def window_at(camera: CameraRig, world_T_cam: Float[np.ndarray, "4 4"], tip: Float[np.ndarray, "3"]) -> Window:
+    """Where in the camera's picture the policy looks; always inside it.
+
+    Args:
+        world_T_cam: pose of the camera as the robot believes it.
+        tip: position of the finger tips in the world, m.
+    """
+    if camera.mount == "flange":
+        # It moves with the hand: the hand is always at one place of its picture, which shows little else.
+        return Window(0.0, 0.0, float(camera.width), float(camera.height))
+    x, y, z = spatial.inverse(world_T_cam)[:3] @ np.append(tip, 1.0)
+    z = max(float(z), 0.05)
+    side = min(camera.fx * SPAN / z, camera.width, camera.height)
+    left = camera.fx * x / z + camera.cx + 0.5 - side / 2
+    top = camera.fy * y / z + camera.cy + 0.5 - side / 2
+    return Window(
+        float(np.clip(left, 0.0, camera.width - side)), float(np.clip(top, 0.0, camera.height - side)), side, side
+    )
+
+
+def proprioception(
+    q: Float[np.ndarray, "6"], tip: Float[np.ndarray, "3"], sent: Float[np.ndarray, "3"], yaw: float
+) -> Float[np.ndarray, "12"]:
+    """The state that a policy sees.
+
+    Args:
+        q: measured joints, rad.
+        tip: where they put the tip, world, m.
+        sent: where the tip is being sent in the control step that begins now, world, m.
+        yaw: heading of the hand's x axis in the world, rad.
+    """
+    return np.concatenate([q, tip, to_hand(sent - tip, yaw)]).astype(np.float32)
+
+
+def to_hand(vectors: Float[np.ndarray, "*n 3"], yaw: float) -> Float[np.ndarray, "*n 3"]:
+    """World vectors in the axes of a hand that points down: forward (its own x), left of that, up."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
+    return np.stack([c * x + s * y, c * y - s * x, z], -1)
+
+
+def from_hand(vectors: Float[np.ndarray, "*n 3"], yaw: float) -> Float[np.ndarray, "*n 3"]:
+    """The inverse of `to_hand`."""
+    return to_hand(vectors, -yaw)
