@@ -95,6 +95,7 @@ class Belief:
         self._known: dict[Object, _Known] = {}
         self._held: Object | None = None
         self._tip_T_held = np.eye(4)
+        self._at_grasp: dict[Object, np.ndarray] = {}
         self._last_opening = np.inf
         self.report = ScanReport()
 
@@ -102,6 +103,11 @@ class Belief:
     def held(self) -> Object | None:
         """The block between the pads, as believed."""
         return self._held
+
+    @property
+    def grasp_is_certain(self) -> bool:
+        """Was the held block alone between the pads? Of two stacked ones either may have come along, or both."""
+        return self._held is None or not self._stacked_at_grasp(self._held)
 
     def update_from_scan(self, frames: Sequence[CameraFrame], robot_features: Float[np.ndarray, "8"]) -> State:
         """Take in the pictures of a scan, taken with the hand as it is now.
@@ -119,8 +125,8 @@ class Belief:
         box_sizes, scans = self._averaged_sizes(self._box, scene.box.features[7:])
         self._known[self._box] = _Known(np.array([*scene.box.features[:7], *box_sizes]), scene.box.covariance, scans)
         seen = [b for b in self._blocks if b.name in scene.blocks]
-        if self._held in seen:
-            self.release()
+        if self._held is not None and self._held in seen:
+            self._change_grasp(seen, robot_features)
         for block in seen:
             self._take(block, scene.blocks[block.name])
         unseen = [b for b in self._blocks if b not in seen and b != self._held]
@@ -161,7 +167,16 @@ class Belief:
         if block not in self._known:
             raise UnknownNameError("block seen so far", block.name, [o.name for o in self._known if o in self._blocks])
         world_T_tip = spatial.pose_from_features(np.asarray(robot_features)[:7])
-        tip_T_block = spatial.inverse(world_T_tip) @ spatial.pose_from_features(self._known[block].features[:7])
+        tip_T_world = spatial.inverse(world_T_tip)
+        self._at_grasp = {
+            b: tip_T_world @ spatial.pose_from_features(self._known[b].features[:7])
+            for b in self._blocks
+            if b in self._known
+        }
+        self._hold(block, world_T_tip)
+
+    def _hold(self, block: Object, world_T_tip: np.ndarray) -> None:
+        tip_T_block = self._at_grasp[block].copy()
         # The jaws push the block to their middle and turn its faces flush with the pads.
         tip_T_block[1, 3] = 0.0
         yaw = float(np.arctan2(tip_T_block[1, 0], tip_T_block[0, 0]))
@@ -174,6 +189,32 @@ class Belief:
     def release(self) -> None:
         """The pads hold nothing any more; the block is believed where they left it."""
         self._held = None
+
+    def _change_grasp(self, seen: Sequence[Object], robot_features: np.ndarray) -> None:
+        """What the hand was believed to hold lies on the table: it lifted the block stacked with that, or nothing."""
+        dropped = self._held
+        self.release()
+        if dropped is None:
+            return
+        for block in self._stacked_at_grasp(dropped):
+            if (
+                block not in seen
+                and abs(float(robot_features[7]) - self._known[block].features[7:9].max()) < GRIP_SLACK
+            ):
+                self._hold(block, spatial.pose_from_features(np.asarray(robot_features)[:7]))
+                return
+
+    def _stacked_at_grasp(self, held: Object) -> list[Object]:
+        """The blocks that stood on or under `held` when the pads closed, nearest to the tips first."""
+        place = self._at_grasp.get(held)
+        if place is None:
+            return []
+        near = [
+            (abs(other[2, 3]), block)
+            for block, other in self._at_grasp.items()
+            if block != held and np.hypot(*(other[:2, 3] - place[:2, 3])) < BENEATH
+        ]
+        return [block for _, block in sorted(near)]
 
     def _follow_hand(self, robot_features: Float[np.ndarray, "8"]) -> None:
         features = np.asarray(robot_features)
@@ -192,15 +233,17 @@ class Belief:
         self._last_opening = opening
 
     def _between_pads(self, world_T_tip: np.ndarray, opening: float) -> Object | None:
+        """The block at the tips; of two stacked ones the nearer."""
         tip_T_world = spatial.inverse(world_T_tip)
+        found: list[tuple[float, Object]] = []
         for block in self._blocks:
             if block not in self._known:
                 continue
             features = self._known[block].features
             place = np.abs(tip_T_world[:3, :3] @ features[:3] + tip_T_world[:3, 3])
             if abs(opening - features[7:9].max()) < GRIP_SLACK and np.all(place < AT_TIP):
-                return block
-        return None
+                found.append((float(place[2]), block))
+        return min(found)[1] if found else None
 
     def _ride(self, world_T_tip: np.ndarray) -> None:
         if self._held is None:

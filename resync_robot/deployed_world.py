@@ -101,12 +101,12 @@ class DeployedWorld:
             self.stream.stop()
 
     def perceive(self) -> State:
-        """Scan, unless the only news since the last look is that the hand closed on a block it had seen."""
+        """Scan, unless the only news since the last look is that the hand closed on a block it had seen, alone."""
         features = self._features()
         if self.scans:
             believed = self.belief.state(features)
             before, self._held = self._held, self.belief.held
-            if before is None and self._held is not None:
+            if before is None and self._held is not None and self.belief.grasp_is_certain:
                 return believed
         try:
             frames = self._look_around()

@@ -19,6 +19,7 @@ from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX
+from resync_robot.core.world import Window
 from sim_training import parts, textures
 
 FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
@@ -57,7 +58,11 @@ def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
             bodies[obj] = add_box(scene, obj, task, rendered)
         elif obj.type == BLOCK:
             bodies[obj] = add_block(scene, obj, task, rendered)
-    cameras = {c.name: _add_camera(scene, c, robot) for c in rig.cameras} if rendered else {}
+    cameras = {}
+    if rendered:
+        for camera in rig.cameras:
+            cameras[camera.name] = add_camera(scene, robot, camera, camera.pose, (camera.width, camera.height))
+            look_through(cameras[camera.name], camera, whole_picture(camera))
     if rendered:
         _add_lights(scene, physics)
     return BuiltScene(scene, robot, bodies, cameras, float(physics.get("gain", 1.0)))
@@ -265,14 +270,21 @@ def _pose(features: np.ndarray) -> sapien.Pose:
     return sapien.Pose(np.asarray(features[:3]), np.asarray(features[3:7]))
 
 
-def _add_camera(scene: sapien.Scene, camera: CameraRig, robot: physx.PhysxArticulation) -> render.RenderCameraComponent:
-    component = render.RenderCameraComponent(camera.width, camera.height)
-    # The renderer counts pixels from their upper left edge, cameras and OpenCV from their middle.
-    cx, cy = camera.cx + 0.5, camera.cy + 0.5
-    component.set_perspective_parameters(0.05, 5.0, camera.fx, camera.fy, cx, cy, 0.0)
+def add_camera(
+    scene: sapien.Scene,
+    robot: physx.PhysxArticulation,
+    camera: CameraRig,
+    pose: np.ndarray,
+    size: tuple[int, int],
+) -> render.RenderCameraComponent:
+    """A camera that renders (width, height) pixels, at (4, 4) `pose` in its mount, OpenCV axes.
+
+    It sees nothing until `look_through` has given it a window.
+    """
+    component = render.RenderCameraComponent(*size)
     # SAPIEN cameras look along x with z up; OpenCV's along z with y down.
     axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
-    local = sapien.Pose(camera.pose @ axes)
+    local = sapien.Pose(pose @ axes)
     if camera.mount == "flange":
         mount = next(link for link in robot.links if link.name == "flange").entity
         component.local_pose = local
@@ -282,6 +294,29 @@ def _add_camera(scene: sapien.Scene, camera: CameraRig, robot: physx.PhysxArticu
         entity.add_component(component)
         scene.add_entity(entity)
     return component
+
+
+def look_through(
+    component: render.RenderCameraComponent, camera: CameraRig, window: Window, focal: float = 1.0
+) -> None:
+    """Make the component render what lies in a window of the camera's picture.
+
+    Args:
+        focal: factor on the camera's focal length.
+    """
+    across, down = component.width / window.width, component.height / window.height
+    # The renderer counts pixels from their upper left edge, as windows do; cameras and OpenCV from their middle.
+    cx, cy = (camera.cx + 0.5 - window.left) * across, (camera.cy + 0.5 - window.top) * down
+    component.set_perspective_parameters(0.05, 5.0, camera.fx * focal * across, camera.fy * focal * down, cx, cy, 0.0)
+
+
+def whole_picture(camera: CameraRig) -> Window:
+    return Window(0.0, 0.0, float(camera.width), float(camera.height))
+
+
+def colour_of(component: render.RenderCameraComponent) -> np.ndarray:
+    """(H, W, 3) uint8 RGB of the picture that was taken last."""
+    return (np.clip(component.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
 
 
 def _add_lights(scene: sapien.Scene, physics: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig
@@ -69,7 +69,7 @@ class NoisySensor:
         error = self._fixed_error if self._fixed_error is not None else self._draw_pose_error()
         return replace(
             frame,
-            colour=self._colour(frame.colour),
+            colour=self.colour(frame.colour),
             depth=self._depth(frame.depth),
             world_T_cam=frame.world_T_cam @ error,
         )
@@ -79,7 +79,8 @@ class NoisySensor:
         shift = self._rng.normal(0.0, self._rig.position_sigma, 3)
         return spatial.transform(spatial.rotation_from_vector(turn), shift)
 
-    def _colour(self, colour: np.ndarray) -> np.ndarray:
+    def colour(self, colour: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+        """A picture, or a part of one, with the camera's exposure, white balance and noise."""
         s = self.settings
         gain = np.exp(self._rng.normal(0.0, s.exposure_sigma)) * np.exp(self._rng.normal(0.0, s.white_balance_sigma, 3))
         noise = self._rng.standard_normal(colour.shape, dtype=np.float32) * np.float32(s.colour_sigma)

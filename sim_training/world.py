@@ -23,6 +23,7 @@ from sim_training.scene import (
     BuiltScene,
     build_scene,
     camera_pose_in_world,
+    colour_of,
     features_of,
 )
 
@@ -158,7 +159,7 @@ class SimWorld:
         camera = self.built.cameras[name]
         self.built.scene.update_render()
         camera.take_picture()
-        colour = (np.clip(camera.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
+        colour = colour_of(camera)
         depth = -camera.get_picture("Position")[..., 2]
         depth = np.clip(np.where(np.isfinite(depth), depth, 0) / CameraFrame.DEPTH_UNIT_M, 0, 65535).astype(np.uint16)
         return CameraFrame(

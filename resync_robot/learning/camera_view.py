@@ -34,6 +34,10 @@ ACTION_NAMES = ("forward_m", "left_m", "up_m")
 """The step from where the tip is being sent to where it is sent next, in the hand's own horizontal axes."""
 
 
+DONE, DONE_IN_A_ROW = 0.5, 2
+"""A policy is believed to be done when it says so, above this probability, so often in a row."""
+
+
 @dataclass(frozen=True)
 class Prediction:
     """What a policy says of n observations.

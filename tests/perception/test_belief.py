@@ -197,3 +197,53 @@ def test_two_blocks_hidden_under_a_third_stand_on_each_other(rig: Rig, middle: s
     state = belief.update(scene(block("b2", 0.52, 0.0, FLOOR + 2 * HEIGHT, stacked=True), glimpses=glimpses), robot())
     heights = [state.get(BLOCK(n), "z")[0] for n in (bottom, middle, "b2")]
     assert heights == pytest.approx([FLOOR + (i + 0.5) * HEIGHT for i in range(3)], abs=0.001)
+
+
+def tower(belief: Belief, upper: str, lower: str) -> None:
+    stacked = block(upper, 0.45, 0.05, FLOOR + HEIGHT, stacked=True)
+    belief.update(scene(block(lower, 0.45, 0.05), block(upper, 0.5, 0.1), block("b2", 0.5, -0.1)), robot())
+    belief.update(scene(stacked, block("b2", 0.5, -0.1)), robot())
+
+
+@pytest.mark.parametrize(("upper", "lower"), [("b0", "b1"), ("b1", "b0")])
+def test_of_two_stacked_blocks_the_one_at_the_tips_is_held(rig: Rig, upper: str, lower: str) -> None:
+    belief = Belief(R, THE_BOX, (B0, B1, BLOCK("b2")), rig)
+    tower(belief, upper, lower)
+    for opening in (0.10, WIDTH + 0.001):
+        # A little lower than the upper block's middle: both lie within reach of the pads.
+        belief.state(robot(0.45, 0.05, FLOOR + HEIGHT * 1.4, opening))
+    assert belief.held == BLOCK(upper)
+    assert not belief.grasp_is_certain
+
+
+def test_a_block_gripped_alone_is_certain(rig: Rig) -> None:
+    belief = Belief(R, THE_BOX, (B0, B1, BLOCK("b2")), rig)
+    tower(belief, "b0", "b1")
+    assert belief.grasp_is_certain
+    for opening in (0.10, WIDTH + 0.001):
+        belief.state(robot(0.5, -0.1, FLOOR + HEIGHT / 2, opening))
+    assert belief.held == BLOCK("b2") and belief.grasp_is_certain
+
+
+def test_when_the_gripped_block_stays_behind_the_hand_holds_the_one_that_stood_on_it(rig: Rig) -> None:
+    belief = Belief(R, THE_BOX, (B0, B1, BLOCK("b2")), rig)
+    tower(belief, "b0", "b1")
+    for opening in (0.10, WIDTH + 0.001):
+        belief.state(robot(0.45, 0.05, FLOOR + HEIGHT / 2, opening))
+    assert belief.held == B1
+    lifted = robot(0.45, 0.05, 0.30, WIDTH + 0.001)
+    state = belief.update(scene(block("b1", 0.45, 0.05), block("b2", 0.5, -0.1)), lifted)
+    assert belief.held == B0
+    # It rides where it stood: one block's height above the one that the pads were closed on.
+    assert state.get(B0, "x", "y", "z") == pytest.approx([0.45, 0.05, 0.30 + HEIGHT], abs=0.002)
+
+
+def test_when_everything_stays_behind_the_hand_holds_nothing(rig: Rig) -> None:
+    belief = Belief(R, THE_BOX, (B0, B1, BLOCK("b2")), rig)
+    tower(belief, "b0", "b1")
+    for opening in (0.10, WIDTH + 0.001):
+        belief.state(robot(0.45, 0.05, FLOOR + HEIGHT / 2, opening))
+    lost = robot(0.45, 0.05, 0.30, 0.0)
+    seen = scene(block("b0", 0.45, 0.05, FLOOR + HEIGHT, stacked=True), block("b1", 0.45, 0.05), block("b2", 0.5, -0.1))
+    belief.update(seen, lost)
+    assert belief.held is None

@@ -1,0 +1,1 @@
+"""Demonstrations for camera policies: recoveries in rendered scenes, written as a LeRobot dataset."""

@@ -1,0 +1,173 @@
+"""Demonstrations on disk: a LeRobot dataset with h264 videos, written in shards, read back in one go.
+
+Training reads every frame many times, and decoding is slow, so all videos are decoded once into memory.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from resync_robot.core.errors import TrainingError
+from resync_robot.learning.camera_view import ACTION_NAMES, PICTURE, RATE_HZ, STATE_NAMES, VIEWS
+from sim_training.demos.rollouts import Segment
+
+VERSION = 1
+STAMP = "resync.json"
+"""Beside LeRobot's own files: version, seeds, rig."""
+RECOVERED, OFFSET, ENDS = "privileged.recovered", "privileged.offset", "segment.ends_recovered"
+
+
+def features() -> dict[str, dict[str, Any]]:
+    """LeRobot's description of a frame."""
+    picture = {"dtype": "video", "shape": (PICTURE, PICTURE, 3), "names": ["height", "width", "channels"]}
+    return {
+        **{f"observation.images.{view}": dict(picture) for view in VIEWS},
+        "observation.state": {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
+        "action": {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},
+        RECOVERED: {"dtype": "float32", "shape": (1,), "names": ["recovered"]},
+        OFFSET: {"dtype": "float32", "shape": (3,), "names": ["forward_m", "left_m", "up_m"]},
+        ENDS: {"dtype": "float32", "shape": (1,), "names": ["ends"]},
+    }
+
+
+def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Mapping[str, Any]) -> None:
+    """A LeRobot dataset with an episode for each segment; whole, or not there at all.
+
+    Args:
+        task: what LeRobot's datasets call the instruction.
+        stamp: how it came about: seeds, rig hash, commit.
+    """
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    beside = folder.with_name(folder.name + ".part")
+    shutil.rmtree(beside, ignore_errors=True)
+    beside.parent.mkdir(parents=True, exist_ok=True)
+    if segments:
+        dataset = LeRobotDataset.create(
+            repo_id="local/recoveries",
+            fps=int(RATE_HZ),
+            features=features(),
+            root=beside,
+            use_videos=True,
+            vcodec="h264",
+            streaming_encoding=True,
+            video_backend="pyav",
+        )
+        for segment in segments:
+            _add(dataset, segment, task)
+        dataset.finalize()
+    else:
+        beside.mkdir()
+    (beside / STAMP).write_text(json.dumps({"version": VERSION, **stamp}, indent=2, sort_keys=True) + "\n")
+    beside.replace(folder)
+
+
+def _add(dataset: Any, segment: Segment, task: str) -> None:
+    for i in range(len(segment.state)):
+        pictures = {f"observation.images.{v}": segment.pictures[i, k] for k, v in enumerate(VIEWS)}
+        dataset.add_frame(
+            {
+                **pictures,
+                "observation.state": segment.state[i],
+                "action": segment.action[i],
+                RECOVERED: np.array([segment.recovered[i]], dtype=np.float32),
+                OFFSET: segment.offset[i],
+                ENDS: np.array([segment.ends], dtype=np.float32),
+                "task": task,
+            }
+        )
+    dataset.save_episode()
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """All frames of some shards, in order.
+
+    Attributes:
+        pictures: (n, views, p, p, 3).
+        state, action, recovered, offset: as in `Segment`.
+        segment: (n,) which segment a frame belongs to.
+        ends: (n,) does the frame's segment end with the recovery?
+    """
+
+    pictures: UInt8[np.ndarray, "n v p p 3"]
+    state: Float[np.ndarray, "n s"]
+    action: Float[np.ndarray, "n 3"]
+    recovered: Bool[np.ndarray, " n"]
+    offset: Float[np.ndarray, "n 3"]
+    segment: np.ndarray
+    ends: Bool[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+
+def read_shards(folders: Sequence[Path]) -> Demonstrations:
+    """Every frame of the shards, decoded. Raises TrainingError where one is missing, broken or of another version."""
+    parts = [p for p in (_read_shard(folder) for folder in folders) if p is not None]
+    if not parts:
+        raise TrainingError("there is no demonstration: the teacher succeeded in none of its worlds")
+    offsets = np.cumsum([0, *(int(p.segment.max()) + 1 for p in parts)])
+    return Demonstrations(
+        *(
+            np.concatenate([getattr(p, name) for p in parts])
+            for name in ("pictures", "state", "action", "recovered", "offset")
+        ),
+        segment=np.concatenate([p.segment + o for p, o in zip(parts, offsets, strict=False)]),
+        ends=np.concatenate([p.ends for p in parts]),
+    )
+
+
+def _read_shard(folder: Path) -> Demonstrations | None:
+    import pyarrow.parquet as pq
+
+    _check_stamp(folder)
+    tables = [pq.read_table(path).to_pydict() for path in sorted((folder / "data").rglob("*.parquet"))]
+    if not tables:
+        return None
+    columns = {name: np.concatenate([np.asarray(t[name]) for t in tables]) for name in tables[0]}
+    pictures = np.stack([_decode(folder, view, len(columns["index"])) for view in VIEWS], axis=1)
+    return Demonstrations(
+        pictures,
+        columns["observation.state"].astype(np.float32),
+        columns["action"].astype(np.float32),
+        columns[RECOVERED].reshape(-1) > 0.5,
+        columns[OFFSET].astype(np.float32),
+        columns["episode_index"],
+        columns[ENDS].reshape(-1) > 0.5,
+    )
+
+
+def _check_stamp(folder: Path) -> None:
+    try:
+        stamp = json.loads((folder / STAMP).read_text())
+    except (OSError, ValueError) as error:
+        raise TrainingError(f"{folder} holds no demonstrations: {error}", "remove it, and add --resume") from None
+    if stamp.get("version") != VERSION:
+        raise TrainingError(
+            f"{folder} holds demonstrations of version {stamp.get('version')}, this program reads {VERSION}",
+            "remove the folder, and add --resume",
+        )
+
+
+def _decode(folder: Path, view: str, count: int) -> UInt8[np.ndarray, "n p p 3"]:
+    import av
+
+    frames: list[np.ndarray] = []
+    for path in sorted((folder / "videos" / f"observation.images.{view}").rglob("*.mp4")):
+        with av.open(str(path)) as container:
+            frames += [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
+    if len(frames) != count:
+        raise TrainingError(
+            f"{folder}: the videos of '{view}' hold {len(frames)} frames, the table {count}",
+            "remove the folder, and add --resume",
+        )
+    return np.stack(frames)

@@ -1,0 +1,161 @@
+"""One rendered scene in which a recovery runs: the teacher's exact state, the student's pictures, one step of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from sapien import render
+
+from resync_robot.core import spatial
+from resync_robot.core.rig import CameraRig, Rig
+from resync_robot.learning import camera_view, recovery_policy
+from resync_robot.learning.camera_view import PICTURE, VIEWS
+from sim_training.demos.starts import Start
+from sim_training.mine import MOVED, SETTLE_STEPS
+from sim_training.recovery import FailedWorlds, lagging
+from sim_training.scene import add_camera, build_scene, colour_of, look_through
+from sim_training.sensor import NoisySensor
+from sim_training.vector_env import RECOVERY_TORQUE, SUBSTEPS
+
+FOCAL_SIGMA = 0.005
+"""Relative error of a calibrated focal length."""
+START_HEIGHT = (0.045, 0.075)
+"""m of the tip over the stud at which the policy takes over, around what the skill's approach gives."""
+START_SPREAD = 0.006
+"""m by which the scan that the approach relies on may be wrong, and some."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the robot has at one moment.
+
+    Attributes:
+        pictures: (views, p, p, 3) uint8.
+        q: (6,) rad.
+        tip: (3,) m, world.
+    """
+
+    pictures: UInt8[np.ndarray, "v p p 3"]
+    q: Float[np.ndarray, "6"]
+    tip: Float[np.ndarray, "3"]
+
+
+class RenderedRecovery:
+    """A recovery in a scene of its own, from `start`, with its own errors of calibration, delays and lag.
+
+    Args:
+        rig: as the robot believes it; the scene's cameras stand off it, by the rig's own sigmas.
+        lag: most control steps that the arm is behind its commands.
+        seed: of everything that is drawn here.
+        still: no errors of cameras and no lag: for tests.
+    """
+
+    def __init__(self, start: Start, rig: Rig, lag: float, seed: int, still: bool = False) -> None:
+        self._rng = rng = np.random.default_rng([seed, 47])
+        self.start, self._rig = start, rig
+        self._worlds = FailedWorlds([start.task], start.block, rig, np, torch.device("cpu"))
+        self._zero = torch.zeros(1, dtype=torch.long)
+        self._built = build_scene(start.task, rig, rendered=True)
+        self._body = self._built.rigid[start.block]
+        self._focal: dict[str, float] = {}
+        self._cameras = {name: self._mount(rig.camera(name), still) for name in VIEWS}
+        self._sensors = {n: NoisySensor(int(rng.integers(2**31)), rig.camera(n)) for n in VIEWS}
+        self.lag = torch.tensor([0.0 if still else lag * rng.random()])
+        self._delayed = not still and rng.random() < 0.5
+        self._before: np.ndarray | None = None
+        self.stands = self._settle()
+        self.sent, self._last = self._place_arm()
+        self.x = self._state()
+        self.previous = self.x
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the hand's x axis, rad: square to the box."""
+        x = self._built.flange.entity_pose.to_transformation_matrix()
+        return float(np.arctan2(x[1, 0], x[0, 0]))
+
+    def see(self) -> Seen:
+        """Pictures, which may be one control step old, and the arm as it is."""
+        now = self._take()
+        shown = now if self._before is None or not self._delayed else self._before
+        self._before = now
+        return Seen(shown, self._joints(), self._tip())
+
+    def step(self, goal: Float[np.ndarray, "3"]) -> None:
+        """Send the tip to `goal` over one control step, as late as this arm is."""
+        before, command = (torch.as_tensor(v, dtype=torch.float32)[None] for v in (self.sent, goal))
+        q = self._worlds.joints_at(lagging(command, before, self.lag), self._zero)[0]
+        begin = self._last
+        for i in range(SUBSTEPS):
+            if i % 2 == 0:
+                self._built.drive(begin + (q - begin) * min(1.0, (i + 2) / SUBSTEPS), 0.0)
+            self._built.scene.step()
+        self._last, self.sent = q, np.asarray(goal, dtype=np.float64)
+        self.previous, self.x = self.x, self._state()
+
+    def reach(self, wanted: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Where the tip is really sent if it is wanted there."""
+        row = torch.as_tensor(wanted, dtype=torch.float32)[None]
+        return recovery_policy.within_reach(self.x, row)[0].double().numpy()
+
+    def offset(self) -> Float[np.ndarray, "3"]:
+        """From the tip to the middle of the block's top, hand's axes, m: what the auxiliary head learns to see."""
+        block = self.x[0, recovery_policy.BLOCK].double().numpy()
+        top = spatial.pose_from_features(block[:7]) @ np.array([0.0, 0.0, block[9] / 2, 1.0])
+        return camera_view.to_hand(top[:3] - self._tip(), self.yaw)
+
+    def _settle(self) -> bool:
+        places = {o: b.entity_pose.p.copy() for o, b in self._built.rigid.items() if b is not None}
+        for _ in range(SETTLE_STEPS):
+            self._built.scene.step()
+        return all(np.linalg.norm(self._built.rigid[o].entity_pose.p - p) < MOVED for o, p in places.items())
+
+    def _place_arm(self) -> tuple[np.ndarray, np.ndarray]:
+        x, y, z, height = self.start.task.initial.get(self.start.block, "x", "y", "z", "size_z")
+        rng = self._rng
+        tip = np.array([x, y, z + height / 2 + recovery_policy.STUD + rng.uniform(*START_HEIGHT)])
+        tip[:2] += rng.uniform(-START_SPREAD, START_SPREAD, 2)
+        q = self._worlds.joints_at(torch.as_tensor(tip, dtype=torch.float32)[None], self._zero)[0]
+        self._built.set_torque_limits(RECOVERY_TORQUE)
+        self._built.set_configuration(q, 0.0)
+        for _ in range(2):
+            self._built.scene.step()
+        return tip, q
+
+    def _joints(self) -> np.ndarray:
+        return self._built.robot.qpos[self._built.arm_index].astype(np.float64)
+
+    def _tip(self) -> np.ndarray:
+        return self._rig.tip_pose(self._joints())[:3, 3].copy()
+
+    def _state(self) -> torch.Tensor:
+        pose = self._body.entity_pose
+        commanded = torch.as_tensor(self.sent, dtype=torch.float32)[None]
+        return self._worlds.states(self._joints()[None], np.concatenate([pose.p, pose.q])[None], commanded, self._zero)
+
+    def _mount(self, camera: CameraRig, still: bool) -> render.RenderCameraComponent:
+        rng = self._rng
+        error, focal = np.eye(4), 1.0
+        if not still:
+            turn = rng.normal(0.0, camera.rotation_sigma, 3)
+            error = spatial.transform(spatial.rotation_from_vector(turn), rng.normal(0.0, camera.position_sigma, 3))
+            focal = 1.0 + rng.normal(0.0, FOCAL_SIGMA)
+        self._focal[camera.name] = focal
+        return add_camera(self._built.scene, self._built.robot, camera, camera.pose @ error, (PICTURE, PICTURE))
+
+    def _take(self) -> UInt8[np.ndarray, "v p p 3"]:
+        """Only the windows are rendered: a fraction of the whole pictures' pixels, and the same rays."""
+        q = self._joints()
+        tip = self._rig.tip_pose(q)[:3, 3]
+        self._built.scene.update_render()
+        taken = []
+        for name, component in self._cameras.items():
+            camera = self._rig.camera(name)
+            window = camera_view.window_at(camera, self._rig.camera_pose(camera, q), tip)
+            look_through(component, camera, window, self._focal[name])
+            component.take_picture()
+            taken.append(self._sensors[name].colour(colour_of(component)))
+        return np.stack(taken)

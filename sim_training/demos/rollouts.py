@@ -1,0 +1,257 @@
+"""Recoveries rolled out: the teacher's, pushed off its path now and then, or taking over from a student that strayed.
+
+What is recorded is what was executed: a policy that predicts chunks of actions cannot learn from labels that nobody
+carried out. So variety comes from bursts that are not recorded, and each of them begins a segment of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from resync_robot.core.rig import Rig
+from resync_robot.learning import camera_view, recovery_policy
+from resync_robot.learning.camera_view import DONE, DONE_IN_A_ROW, CameraPolicy, proprioception, to_hand
+from sim_training.demos.recoveries import RenderedRecovery, Seen
+from sim_training.demos.starts import Start
+from sim_training.recovery import RecoverySettings, is_recovered, is_tipped
+
+Teacher = Callable[[Tensor], Tensor]
+"""(n, 19) observations of exact states -> (n, 3) actions."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolloutSettings:
+    """In control steps of 0.1 s, lengths in m."""
+
+    horizon: int = 70
+    """After so many steps with the teacher at the helm an episode counts as failed."""
+    student_horizon: int = 80
+    hold: int = 5
+    """Steps at rest after success: what being done looks like."""
+    burst_probability: float = 0.08
+    """Of a burst in any step of the teacher's."""
+    burst_steps: tuple[int, int] = (2, 6)
+    burst_size: float = 0.02
+    """Most motion a step in a burst, along each axis."""
+    least_frames: int = 3
+    execute: int = 2
+    """Steps of a chunk that are carried out before the next one comes."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One stretch of a recovery as the robot saw and did it; n frames.
+
+    Attributes:
+        pictures: (n, views, p, p, 3).
+        state: (n, 12), as in `camera_view.STATE_NAMES`.
+        action: (n, 3) m, the step that followed the one under way.
+        recovered: (n,) was there nothing left to do?
+        offset: (n, 3) m, from the tip to the block's top in the hand's axes.
+        ends: did it end with the recovery, rather than with a burst?
+    """
+
+    pictures: UInt8[np.ndarray, "n v p p 3"]
+    state: Float[np.ndarray, "n s"]
+    action: Float[np.ndarray, "n 3"]
+    recovered: Bool[np.ndarray, " n"]
+    offset: Float[np.ndarray, "n 3"]
+    ends: bool
+
+
+@dataclass
+class _Frames:
+    """A segment that is being recorded."""
+
+    seen: list[Seen] = field(default_factory=list)
+    sent: list[np.ndarray] = field(default_factory=list)
+    recovered: list[bool] = field(default_factory=list)
+    offset: list[np.ndarray] = field(default_factory=list)
+
+    def finish(self, yaw: float, ends: bool) -> Segment:
+        sent = np.stack(self.sent)
+        steps = np.diff(sent, axis=0)
+        # After the end the hand rests; before a burst nobody knows what the step after the last would have been.
+        steps, count = (np.vstack([steps, np.zeros(3)]), len(sent)) if ends else (steps, len(sent) - 1)
+        return Segment(
+            np.stack([s.pictures for s in self.seen[:count]]),
+            np.stack(
+                [proprioception(s.q, s.tip, g, yaw) for s, g in zip(self.seen[:count], sent[:count], strict=True)]
+            ),
+            to_hand(steps, yaw).astype(np.float32),
+            np.array(self.recovered[:count]),
+            np.stack(self.offset[:count]).astype(np.float32),
+            ends,
+        )
+
+
+class _Run:
+    """One scene, who is at the helm, and what was recorded."""
+
+    def __init__(self, scene: RenderedRecovery, s: RolloutSettings, student_steps: int, seed: int) -> None:
+        self.scene, self.s, self.rng = scene, s, np.random.default_rng([seed, 53])
+        self.student_left, self.taught, self.held, self.burst_left = student_steps, 0, 0, 0
+        self.frames, self.segments = _Frames(), list[Segment]()
+        self.goal = scene.sent
+        self.over = not scene.stands
+        self.success = False
+        self.push = np.zeros(3)
+        self.chunk: np.ndarray | None = None
+        self.chunk_used = 0
+        self.said_done = 0
+
+    @property
+    def with_student(self) -> bool:
+        return not self.over and self.student_left > 0
+
+    def close_segment(self, ends: bool) -> None:
+        if len(self.frames.seen) > self.s.least_frames:
+            self.segments.append(self.frames.finish(self.scene.yaw, ends))
+        self.frames = _Frames()
+
+    def teach(self, action: Tensor, recovered: bool) -> None:
+        """Decide where the tip goes in this step, and record it."""
+        scene, s = self.scene, self.s
+        if self.burst_left > 0:
+            self.burst_left -= 1
+            self.goal = scene.reach(scene.sent + self.push)
+            return
+        if self.held == 0 and not recovered and self.taught > 1 and self.rng.random() < s.burst_probability:
+            self.close_segment(ends=False)
+            self.burst_left = int(self.rng.integers(*s.burst_steps))
+            self.push = self.rng.uniform(-s.burst_size, s.burst_size, 3)
+            self.goal = scene.reach(scene.sent + self.push)
+            return
+        if recovered or self.held > 0:
+            self.held += 1
+            self.goal = scene.sent
+        else:
+            self.goal = recovery_policy.commanded_tip(scene.x, action[None])[0].double().numpy()
+        self.frames.seen.append(scene.see())
+        self.frames.sent.append(np.array(self.goal))
+        self.frames.recovered.append(recovered)
+        self.frames.offset.append(scene.offset())
+        self.taught += 1
+        if self.held > s.hold:
+            self.success, self.over = recovered, True
+            self.close_segment(ends=True)
+        elif self.taught > s.horizon:
+            self.over = True
+
+
+def demonstrate(
+    starts: Sequence[Start],
+    rig: Rig,
+    teacher: Teacher,
+    recovery: RecoverySettings,
+    seed: int,
+    student: CameraPolicy | None = None,
+    settings: RolloutSettings | None = None,
+) -> list[list[Segment]]:
+    """For each start the segments of a successful recovery; none where the teacher failed or the scene fell over.
+
+    Args:
+        student: drives first, for a drawn number of steps; the teacher takes over from wherever that leads.
+    """
+    s = settings or RolloutSettings()
+    rng = np.random.default_rng([seed, 59])
+    runs = []
+    for i, start in enumerate(starts):
+        steps = 0 if student is None else int(rng.integers(2, 30))
+        runs.append(_Run(RenderedRecovery(start, rig, recovery.lag, seed + i), s, steps, seed + i))
+    while any(not r.over for r in runs):
+        if student is not None:
+            _advance_students([r for r in runs if r.with_student], student, s)
+        taught = [r for r in runs if not r.over and not r.with_student]
+        if taught:
+            x = torch.cat([r.scene.x for r in taught])
+            previous = torch.cat([r.scene.previous for r in taught])
+            with torch.no_grad():
+                actions = teacher(recovery_policy.observe(x))
+            recovered = is_recovered(x, previous, recovery).tolist()
+            tipped = is_tipped(x, recovery).tolist()
+            for r, action, done, fallen in zip(taught, actions, recovered, tipped, strict=True):
+                r.teach(action, done)
+                r.over |= fallen
+        for r in runs:
+            if not r.over:
+                r.scene.step(r.goal)
+            if r.student_left > 0:
+                r.student_left -= 1
+                if r.student_left == 0:
+                    r.chunk = None
+    return [r.segments if r.success else [] for r in runs]
+
+
+def _advance_students(runs: Sequence[_Run], student: CameraPolicy, s: RolloutSettings) -> None:
+    """The next step of every run with a student at the helm: `goal` is what is under way, chunks say what follows."""
+    asking = []
+    for r in runs:
+        if r.chunk is not None:
+            step = camera_view.from_hand(r.chunk[r.chunk_used], r.scene.yaw)
+            r.goal = r.scene.reach(r.scene.sent + step)
+            r.chunk_used += 1
+        if r.chunk is None or r.chunk_used >= s.execute:
+            asking.append(r)
+    if not asking:
+        return
+    seen = [r.scene.see() for r in asking]
+    states = [proprioception(o.q, o.tip, r.goal, r.scene.yaw) for o, r in zip(seen, asking, strict=True)]
+    said = student(np.stack([o.pictures for o in seen]), np.stack(states))
+    for r, steps, done in zip(asking, said.steps, said.done, strict=True):
+        r.chunk, r.chunk_used = steps, 0
+        r.said_done = r.said_done + 1 if done > DONE else 0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How a policy alone did from one start.
+
+    Attributes:
+        recovered: at the end, in truth.
+        stopped: it said by itself that it was done.
+        steps: control steps until then.
+    """
+
+    recovered: bool
+    stopped: bool
+    steps: int
+
+    @property
+    def success(self) -> bool:
+        return self.recovered and self.stopped
+
+
+def try_student(
+    starts: Sequence[Start],
+    rig: Rig,
+    student: CameraPolicy,
+    recovery: RecoverySettings,
+    seed: int,
+    settings: RolloutSettings | None = None,
+) -> list[Trial | None]:
+    """The student alone, stopped by its own word, as it is deployed; None where a scene fell over at once."""
+    s = settings or RolloutSettings()
+    runs = [
+        _Run(RenderedRecovery(start, rig, recovery.lag, seed + i), s, s.student_horizon, seed + i)
+        for i, start in enumerate(starts)
+    ]
+    trials: list[Trial | None] = [None] * len(runs)
+    for step in range(s.student_horizon):
+        _advance_students([r for r in runs if not r.over], student, s)
+        for i, r in enumerate(runs):
+            if r.over:
+                continue
+            stopped = r.said_done >= DONE_IN_A_ROW
+            if stopped or step == s.student_horizon - 1:
+                recovered = bool(is_recovered(r.scene.x, r.scene.previous, recovery))
+                trials[i], r.over = Trial(recovered, stopped, step), True
+            else:
+                r.scene.step(r.goal)
+    return trials
