@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from resync_robot.core.errors import MotionError, ResyncError
 from resync_robot.core.joints import JointTarget
-from resync_robot.core.world import CameraFrame
+from resync_robot.core.world import CameraFrame, Cutout, Window
 
 SERVO_PERIOD = 0.002
 """Seconds between two setpoints: the controller's tick of 500 Hz."""
@@ -178,6 +178,15 @@ class Camera(Device, Protocol):
 
     def capture(self) -> CameraFrame:
         """A picture exposed after this call. Raises RobotError when none arrives."""
+        ...
+
+
+@runtime_checkable
+class WindowedCamera(Camera, Protocol):
+    """A camera that gives a part of its picture for less than the whole costs."""
+
+    def cut_out(self, window: Window, size: int) -> Cutout:
+        """What lies in the window now, scaled to (size, size). Raises RobotError when no picture arrives."""
         ...
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hardware.base import SERVO_PERIOD, Connected, GripperState, RobotError, RobotState
-from resync_robot.core.world import CameraFrame
+from resync_robot.core.world import CameraFrame, Cutout, Window
 
 DETECTED = 2e-3
 """m by which the pads must stop short of the request for an object to count as held; above the drive's own error."""
@@ -43,6 +43,10 @@ class Physics(Protocol):
 
     def render(self, camera: str) -> CameraFrame:
         """A picture from the camera of that name."""
+        ...
+
+    def render_window(self, camera: str, window: Window, size: int, error: Float[np.ndarray, "4 4"]) -> Cutout:
+        """A part of its picture, from `error` beside where it stands, in the camera's own axes."""
         ...
 
 
@@ -140,3 +144,6 @@ class SimCamera(Connected):
 
     def capture(self) -> CameraFrame:
         return self._physics.render(self._name)
+
+    def cut_out(self, window: Window, size: int, error: Float[np.ndarray, "4 4"] | None = None) -> Cutout:
+        return self._physics.render_window(self._name, window, size, np.eye(4) if error is None else error)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,13 +12,15 @@ from torch import Tensor
 from policies.cartesian import Blocked, Hand, Motion, run_motion
 from policies.grasp import travel_height
 from resync_robot.core import spatial
+from resync_robot.core.joints import JointTarget
 from resync_robot.core.library import Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import Observation
-from resync_robot.learning.recovery_policy import ActorCritic, commanded_tip, observe, project
+from resync_robot.learning.recovery_policy import STUD, ActorCritic, commanded_tip, observe, project
 from resync_robot.learning.terminals import Terminal
 
 RATE_HZ = 50.0
@@ -74,18 +76,10 @@ def _recover(
     robot, block, box = objects
     hand = Hand(rig, first, 1.0 / RATE_HZ, stray=np.inf)
     above = travel_height(first.state, carried=None)
-    x, y, z, height = first.state.get(block, "x", "y", "z", "size_z")
-    # Square to the box, at the smallest turn: as in training.
-    yaw = float(spatial.wrap(spatial.yaw_of(first.state.get(box, "qw", "qx", "qy", "qz")), np.pi / 2))
     try:
-        yield from hand.retreat(above, s.approach_speed)
-        yield from hand.close(0.0)
-        if hand.last.opening > s.closed:
-            gap = 1000 * hand.last.opening
-            return Outcome(Ending.REFUSED, f"the pads stand {gap:.0f} mm apart: something is between them")
-        yield from hand.move(x, y, above, yaw, s.travel_speed)
-        start = min(above, z + height / 2 + 0.012 + s.approach_height)
-        yield from hand.move(x, y, start, yaw, s.approach_speed)
+        refused = yield from approach(hand, first.state, block, box, above, s)
+        if refused is not None:
+            return refused
         finished = False
         for _ in range(s.max_decisions):
             projected = project(hand.last.state, robot, block, box, hand.position)
@@ -99,12 +93,36 @@ def _recover(
             for i in range(1, DECISION_STEPS + 1):
                 hand.position = begin + (goal - begin) * i / DECISION_STEPS
                 hand.last = yield hand.target()
-        yield from hand.move(hand.position[0], hand.position[1], above, yaw, s.approach_speed)
+        yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
     except Blocked as blocked:
         return Outcome(Ending.BLOCKED, str(blocked))
     if not finished:
         return Outcome(Ending.TIMEOUT, f"{s.max_decisions / 10:.0f} s of the policy did not recover {block}")
     return Outcome(Ending.DONE)
+
+
+def approach(
+    hand: Hand, state: State, block: Object, box: Object, above: float, s: RecoverySkillSettings
+) -> Generator[JointTarget, Observation, Outcome | None]:
+    """Close the fingers and bring them over the block, square to the box at the smallest turn, as in training.
+
+    Args:
+        above: m, the height of the tips at which they travel.
+
+    Returns:
+        None, or why the hand is in no condition for it. Raises Blocked.
+    """
+    x, y, z, height = state.get(block, "x", "y", "z", "size_z")
+    yaw = float(spatial.wrap(spatial.yaw_of(state.get(box, "qw", "qx", "qy", "qz")), np.pi / 2))
+    yield from hand.retreat(above, s.approach_speed)
+    yield from hand.close(0.0)
+    if hand.last.opening > s.closed:
+        gap = 1000 * hand.last.opening
+        return Outcome(Ending.REFUSED, f"the pads stand {gap:.0f} mm apart: something is between them")
+    yield from hand.move(x, y, above, yaw, s.travel_speed)
+    start = min(above, z + height / 2 + STUD + s.approach_height)
+    yield from hand.move(x, y, start, yaw, s.approach_speed)
+    return None
 
 
 def _part(record: Record, prefix: str) -> dict[str, np.ndarray]:

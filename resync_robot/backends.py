@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -18,12 +18,13 @@ from hardware.replay import ReplayCamera, ReplayRobot, ReplayTruth
 from hardware.robotiq import Robotiq
 from hardware.sim import SimCamera, SimRobot
 from hardware.ur7e import Ur7e, require_controller
+from resync_robot.core import spatial
 from resync_robot.core.episode import Episode
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
-from resync_robot.core.world import CameraFrame
+from resync_robot.core.world import CameraFrame, Cutout, Window
 from sim_training.mine import is_at_rest
 from sim_training.sensor import NoisySensor
 from sim_training.world import SimWorld
@@ -70,6 +71,12 @@ class NoisyCamera:
 
     def capture(self) -> CameraFrame:
         return self._sensor.apply(self._camera.capture())
+
+    def cut_out(self, window: Window, size: int) -> Cutout:
+        # Here the camera stands off its believed place, there the belief is off: for what is seen it is the same.
+        error = spatial.inverse(self._sensor.pose_error())
+        seen = self._camera.cut_out(window, size, error)
+        return replace(seen, colour=self._sensor.colour(seen.colour))
 
     def __enter__(self) -> NoisyCamera:
         self.connect()

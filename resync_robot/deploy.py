@@ -51,6 +51,10 @@ class DeployConfig:
     perception: Literal["camera", "oracle"] = "camera"
     """Where poses come from: RGB-D pictures, or the simulator's own state."""
 
+    skills: Literal["auto", "camera", "state"] = "auto"
+    """What the learned skills see while they run: pictures and joints, or the simulator's state of the objects. auto:
+    pictures, where the library holds a camera policy."""
+
     dry_run: bool = False
     """Look, ground and plan, and print the plan, but move no skill."""
 
@@ -75,7 +79,8 @@ def deploy(config: DeployConfig) -> int:
     """
     from resync_robot.core.library import load_library
     from resync_robot.core.rig import load_rig
-    from resync_robot.knowledge import learned_model, shipped_library
+    from resync_robot.knowledge import camera_recovery, learned_model, sees_by_camera, shipped_library
+    from resync_robot.learning.camera_view import VIEWS
     from resync_robot.planning.execute import End
     from resync_robot.planning.suppose import find_plan
     from resync_robot.progress import say
@@ -91,7 +96,12 @@ def deploy(config: DeployConfig) -> int:
         _check_rig(config, rig)
     domain.scenario(config.scenario)
     library = load_library(config.library or shipped_library(domain.name))
-    model = learned_model(domain, rig, library)
+    by_camera = config.skills == "camera" or (config.skills == "auto" and sees_by_camera(domain, library))
+    if by_camera and config.perception == "oracle":
+        if config.skills == "camera":
+            raise ConfigError("--skills camera needs cameras", "leave out --perception oracle")
+        by_camera = False
+    model = learned_model(domain, rig, library, camera_recovery(domain, rig, library) if by_camera else None)
     recording = _recording(config)
     if recording is None:
         tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
@@ -115,7 +125,9 @@ def deploy(config: DeployConfig) -> int:
         if config.perception == "camera"
         else "Poses from the simulator (--perception oracle)."
     )
-    if simulated:
+    if by_camera:
+        say(f"{domain.recovery} sees pictures of {', '.join(VIEWS)} and the joints, nothing else.")
+    elif simulated:
         say(
             f"{domain.recovery} follows its block through the simulator's state while it runs; "
             "everything else is estimated."
@@ -250,9 +262,7 @@ def _episode(
                 raise error
             devices.resume()
 
-        world = kind(
-            devices.robot, devices.cameras["wrist"], rig, task.objects, devices.truth, recorder.on_scan, on_stop
-        )
+        world = kind(devices.robot, devices.cameras, rig, task.objects, devices.truth, recorder.on_scan, on_stop)
         world.stream.recorders.append(recorder.on_stream)
 
         say(f"Goal: {goal}")

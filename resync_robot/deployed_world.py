@@ -5,25 +5,28 @@ Simulated or real, this is the same code; the robot and the cameras behind it ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
 
-from hardware.base import Camera, ProtectiveStopError, Robot
+from hardware.base import Camera, ProtectiveStopError, RealtimeRobot, Robot, WindowedCamera
 from hardware.stream import Stream
 from hardware.travel import travel
 from perception.belief import Belief, MissingObjectsError
+from perception.cutout import cut_out
 from perception.scan import Scan
 from resync_robot.core import kinematics, spatial
-from resync_robot.core.errors import InterruptedMotionError, PerceptionError
+from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
-from resync_robot.core.world import CameraFrame, Observation
+from resync_robot.core.world import CameraFrame, Cutout, Observation, Window
 
+WRIST = "wrist"
+"""The camera that scans."""
 SAFE_TIP = 0.27
 """m; below this the hand is first lifted straight up before it travels to a viewpoint."""
 
@@ -31,7 +34,7 @@ Scanned = Callable[[Sequence[CameraFrame], State], None]
 
 
 class DeployedWorld:
-    """`core.world.World` over a robot and its wrist camera.
+    """`core.world.World` over a robot and its cameras.
 
     Args:
         live_state: where a skill that follows the objects gets their poses from while it runs. A camera-only
@@ -45,7 +48,7 @@ class DeployedWorld:
     def __init__(
         self,
         robot: Robot,
-        wrist: Camera,
+        cameras: Mapping[str, Camera],
         rig: Rig,
         objects: Sequence[Object],
         live_state: Callable[[], State] | None = None,
@@ -53,7 +56,7 @@ class DeployedWorld:
         on_stop: Callable[[ProtectiveStopError], None] | None = None,
     ) -> None:
         self._on_stop = on_stop
-        self.robot, self.rig, self._wrist = robot, rig, wrist
+        self.robot, self.rig, self._cameras = robot, rig, cameras
         self.stream = Stream(robot, rig)
         self.scan = Scan(rig)
         self._robot_object = next(o for o in objects if o.type == ROBOT)
@@ -78,7 +81,25 @@ class DeployedWorld:
             state = self._live_state()
         else:
             state = self.belief.state(features)
-        return Observation(measured.time, measured.q, measured.qd, measured.opening, measured.tip_force, state)
+        return Observation(
+            measured.time,
+            measured.q,
+            measured.qd,
+            measured.opening,
+            measured.tip_force,
+            state,
+            look=self._look,
+            realtime=isinstance(self.robot, RealtimeRobot),
+        )
+
+    def _look(self, name: str, window: Window, size: int) -> Cutout:
+        """What a camera sees now, for a skill that looks while it moves."""
+        if name not in self._cameras:
+            raise UnknownNameError("camera", name, list(self._cameras))
+        camera = self._cameras[name]
+        if isinstance(camera, WindowedCamera):
+            return camera.cut_out(window, size)
+        return cut_out(camera.capture(), self.rig.camera(name), window, size)
 
     def act(self, target: JointTarget, duration: float) -> None:
         try:
@@ -131,7 +152,7 @@ class DeployedWorld:
 
     def _look_around(self) -> list[CameraFrame]:
         self._lift()
-        return self.scan(self._travel, self._wrist.capture)
+        return self.scan(self._travel, self._cameras[WRIST].capture)
 
     def _features(self) -> np.ndarray:
         measured = self.robot.state()

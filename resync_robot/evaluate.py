@@ -13,6 +13,7 @@ from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.evaluation_report import EpisodeRow, report, table
 
 if TYPE_CHECKING:
+    from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.skill import GroundSkill
     from resync_robot.core.symbols import Atoms
@@ -53,8 +54,12 @@ class EvaluateConfig:
     perception: Literal["camera", "oracle"] = "oracle"
     """Where poses come from: RGB-D pictures, or the simulator's own state."""
 
-    skills: Literal["state"] = "state"
-    """What the learned skills see while they run: the simulator's state of the objects."""
+    skills: Literal["auto", "camera", "state"] = "auto"
+    """What the learned skills see while they run: pictures and joints, or the simulator's state of the objects. auto:
+    pictures, where poses come from the camera too and the library holds a camera policy."""
+
+    worlds: Literal["usual", "unseen"] = "usual"
+    """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had."""
 
     workers: int = 2
     """Simulation processes."""
@@ -88,7 +93,7 @@ def evaluate(config: EvaluateConfig) -> None:
       ([low, high], Wilson), `n` (episodes), `recoveries_per_episode`.
     - `episodes`, one for each episode that was run: the fields of `EpisodeRow`.
     - `provenance`: `version` and `git` of the program, `libraries` (content hashes, by index), `perception`, `skills`,
-      `seeds`, and `episodes`, the number for each row.
+      `worlds`, `seeds`, and `episodes`, the number for each row.
 
     Raises:
         ResyncError: bad input, or a library that cannot be used.
@@ -110,7 +115,9 @@ def evaluate(config: EvaluateConfig) -> None:
     if config.json:
         check_writable(config.json)
     paths = config.library or (shipped_library(domain.name),)
-    hashes = [load_library(path).content_hash for path in paths]
+    libraries = [load_library(path) for path in paths]
+    hashes = [library.content_hash for library in libraries]
+    skills = _skills(config, domain, libraries)
     jobs = [
         Job(library, method, scenario, seed, episode)
         for scenario in scenarios
@@ -119,7 +126,7 @@ def evaluate(config: EvaluateConfig) -> None:
         for seed in config.seeds
         for episode in range(config.episodes)
     ]
-    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception)
+    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, config.worlds)
     done: list[EpisodeRow] = []
     with Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
         for row in parallel_map(_run, jobs, context, config.workers):
@@ -135,12 +142,25 @@ def evaluate(config: EvaluateConfig) -> None:
             "git": git_hash(),
             "libraries": hashes,
             "perception": config.perception,
-            "skills": config.skills,
+            "skills": skills,
+            "worlds": config.worlds,
             "seeds": list(config.seeds),
             "episodes": config.episodes,
         }
         write_json(config.json, {"provenance": provenance, **report(done, domain, hashes)})
     say(table(done, methods, scenarios))
+
+
+def _skills(config: EvaluateConfig, domain: Domain, libraries: Sequence[Library]) -> str:
+    """ "camera" or "state", after a look at what there is. Raises ConfigError."""
+    if config.skills == "camera" and config.perception == "oracle":
+        raise ConfigError("--skills camera needs cameras", "add --perception camera")
+    if config.skills != "auto":
+        return config.skills
+    from resync_robot.knowledge import sees_by_camera
+
+    with_policy = all(sees_by_camera(domain, library) for library in libraries)
+    return "camera" if config.perception == "camera" and with_policy else "state"
 
 
 def _methods(given: Sequence[str]) -> tuple[str, ...]:
@@ -171,16 +191,17 @@ class _Context:
     domain: Domain
     rig: Rig
     perception: str
+    unseen: bool
     given: Abstraction
     methods: dict[tuple[int, str], _Method]
 
 
-def _context(domain_name: str, paths: tuple[str, ...], perception: str) -> _Context:
+def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: str, worlds: str) -> _Context:
     from resync_robot.baselines.human_sequence import run_human_sequence
     from resync_robot.baselines.recovery_chaining import RecoveryChaining
     from resync_robot.core.library import load_library
     from resync_robot.core.rig import load_rig
-    from resync_robot.knowledge import initial_model, learned_model, model_with_recovery
+    from resync_robot.knowledge import camera_recovery, initial_model, learned_model, model_with_recovery
     from resync_robot.planning.execute import plan_f
     from sim_training.domains import find_domain
 
@@ -190,14 +211,15 @@ def _context(domain_name: str, paths: tuple[str, ...], perception: str) -> _Cont
     for i, path in enumerate(paths):
         library = load_library(Path(path))
         # First, for it says what a library lacks.
-        methods[i, "resync"] = partial(plan_f, model=learned_model(domain, rig, library))
+        recovery = camera_recovery(domain, rig, library) if skills == "camera" else None
+        methods[i, "resync"] = partial(plan_f, model=learned_model(domain, rig, library, recovery))
         record = library.skills[domain.recovery]
-        with_skill = model_with_recovery(domain, rig, record)
+        with_skill = model_with_recovery(domain, rig, record, recovery)
         reaction = RecoveryChaining(with_skill.skill(domain.recovery), record)
         methods[i, "rc"] = partial(plan_f, model=with_skill, reaction=reaction)
         methods[i, "initial"] = partial(plan_f, model=initial)
         methods[i, "human"] = partial(run_human_sequence, model=with_skill, expert=domain.expert)
-    return _Context(domain, rig, perception, initial.abstraction, methods)
+    return _Context(domain, rig, perception, worlds == "unseen", initial.abstraction, methods)
 
 
 def _run(context: _Context, job: Job) -> EpisodeRow:
@@ -226,7 +248,7 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
     begun = time.monotonic()
     # A scene that does not stand still is not a task; the next one takes its place.
     for attempt in range(20):
-        task = world_task(context.domain, job.scenario, job.seed, job.episode + 1_000_000 * attempt)
+        task = world_task(context.domain, job.scenario, job.seed, job.episode + 1_000_000 * attempt, context.unseen)
         world = SimWorld(task, context.rig)
         if is_at_rest(world):
             break
@@ -240,7 +262,7 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         from resync_robot.deployed_world import DeployedWorld
 
         with open_simulated(task, context.rig) as devices:
-            seen = DeployedWorld(devices.robot, devices.cameras["wrist"], context.rig, task.objects, devices.truth)
+            seen = DeployedWorld(devices.robot, devices.cameras, context.rig, task.objects, devices.truth)
             try:
                 result = method(seen, goal=task.goal, listener=notes)
                 # What the robot believes at the end does not count; what is true does.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from resync_robot.core.errors import LibraryError
@@ -33,17 +34,49 @@ def initial_model(domain: Domain, rig: Rig) -> Model:
     return Model(skills, Abstraction(domain.predicates, domain.classifiers), domain.operators)
 
 
-def model_with_recovery(domain: Domain, rig: Rig, record: Record) -> Model:
-    """The given model with the learned skill beside it, which the planner cannot use yet."""
+def model_with_recovery(domain: Domain, rig: Rig, record: Record, skill: Skill | None = None) -> Model:
+    """The given model with the learned skill beside it, which the planner cannot use yet.
+
+    Args:
+        skill: the recovery to use; by default the record's own, which follows the simulator's state.
+    """
     from policies.neural import recovery_skill
 
     model = initial_model(domain, rig)
-    skill = recovery_skill(domain.recovery, record, rig)
+    skill = skill or recovery_skill(domain.recovery, record, rig)
     return Model({**model.skills, skill.name: skill}, model.abstraction, model.operators)
 
 
-def learned_model(domain: Domain, rig: Rig, library: Library) -> Model:
-    """Everything a library holds. Raises LibraryError where it does not fit the domain."""
+def sees_by_camera(domain: Domain, library: Library) -> bool:
+    """Does the library hold a camera policy for the recovery?"""
+    return domain.recovery in library.policies
+
+
+def camera_recovery(domain: Domain, rig: Rig, library: Library) -> Skill:
+    """The recovery that follows its block by camera. Raises LibraryError or PolicyError where there is none for this
+    rig."""
+    if not sees_by_camera(domain, library):
+        raise LibraryError(
+            f"the library holds no camera policy for '{domain.recovery}'",
+            "train one: resync-robot train-sim, or run with --skills state",
+        )
+    from policies.camera_recovery import camera_recovery_skill
+    from policies.diffusion import load_student
+
+    # LeRobot reads folders; what is given to it is what was verified, not what may lie in the library by now.
+    with TemporaryDirectory() as folder:
+        for name, data in library.policies[domain.recovery].items():
+            (Path(folder) / name).write_bytes(data)
+        student = load_student(Path(folder), rig)
+    return camera_recovery_skill(domain.recovery, student, rig)
+
+
+def learned_model(domain: Domain, rig: Rig, library: Library, recovery: Skill | None = None) -> Model:
+    """Everything a library holds. Raises LibraryError where it does not fit the domain.
+
+    Args:
+        recovery: in place of the recovery that follows the simulator's state.
+    """
     if library.domain != domain.name:
         raise LibraryError(f"the library was learned in '{library.domain}', not in '{domain.name}'", RETRAIN)
     if domain.recovery not in library.skills:
@@ -51,7 +84,7 @@ def learned_model(domain: Domain, rig: Rig, library: Library) -> Model:
     known = {p.name: domain.classifiers[p.name] for p in domain.predicates}
     types = {t.name: t for t in domain.types}
     predicates, classifiers, operators = load_concepts(library.domain_pddl, library.predicates, types, known)
-    skills = dict(model_with_recovery(domain, rig, library.skills[domain.recovery]).skills)
+    skills = dict(model_with_recovery(domain, rig, library.skills[domain.recovery], recovery).skills)
     try:
         affordances = {
             skill: Affordance(str(entry["predicate"]), int(entry["argument"]))
@@ -72,8 +105,13 @@ def make_library(
     gaussians: Mapping[str, PairGaussian],
     concepts: Concepts,
     provenance: Mapping[str, Any],
+    policy: Mapping[str, bytes] | None = None,
 ) -> Library:
-    """What a training run saves; `learned_model` is the way back."""
+    """What a training run saves; `learned_model` is the way back.
+
+    Args:
+        policy: the files of the recovery's camera policy.
+    """
     return Library(
         domain=domain.name,
         rig_hash=rig.hash,
@@ -86,6 +124,7 @@ def make_library(
             "affordances": concepts.report.get("affordance_of", {}),
             "variants": concepts.report.get("variants", {}),
         },
+        policies={domain.recovery: policy} if policy else {},
     )
 
 

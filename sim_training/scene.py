@@ -282,18 +282,21 @@ def add_camera(
     It sees nothing until `look_through` has given it a window.
     """
     component = render.RenderCameraComponent(*size)
-    # SAPIEN cameras look along x with z up; OpenCV's along z with y down.
-    axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
-    local = sapien.Pose(pose @ axes)
     if camera.mount == "flange":
-        mount = next(link for link in robot.links if link.name == "flange").entity
-        component.local_pose = local
-        mount.add_component(component)
+        next(link for link in robot.links if link.name == "flange").entity.add_component(component)
     else:
-        entity = _entity(scene, f"camera_{camera.name}", local)
+        entity = _entity(scene, f"camera_{camera.name}", sapien.Pose())
         entity.add_component(component)
         scene.add_entity(entity)
+    place_camera(component, camera, pose)
     return component
+
+
+def place_camera(component: render.RenderCameraComponent, camera: CameraRig, pose: np.ndarray) -> None:
+    """Put it at (4, 4) `pose` in its mount, OpenCV axes."""
+    # SAPIEN cameras look along x with z up; OpenCV's along z with y down.
+    axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+    component.local_pose = sapien.Pose(pose @ axes)
 
 
 def look_through(

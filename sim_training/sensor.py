@@ -66,13 +66,17 @@ class NoisySensor:
 
     def apply(self, frame: CameraFrame) -> CameraFrame:
         """The frame as the camera would deliver it; `world_T_cam` becomes what the robot believes, not the truth."""
-        error = self._fixed_error if self._fixed_error is not None else self._draw_pose_error()
+        error = self.pose_error()
         return replace(
             frame,
             colour=self.colour(frame.colour),
             depth=self._depth(frame.depth),
             world_T_cam=frame.world_T_cam @ error,
         )
+
+    def pose_error(self) -> Float[np.ndarray, "4 4"]:
+        """camera_T_believed: for a camera on the flange another one each time it is asked."""
+        return self._fixed_error if self._fixed_error is not None else self._draw_pose_error()
 
     def _draw_pose_error(self) -> Float[np.ndarray, "4 4"]:
         turn = self._rng.normal(0.0, self._rig.rotation_sigma, 3)

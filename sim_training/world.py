@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from sapien import Pose
+from sapien.render import RenderCameraComponent
 
 from resync_robot.core import kinematics
 from resync_robot.core.errors import UnknownNameError
@@ -16,15 +17,18 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, ROBOT
-from resync_robot.core.world import CameraFrame, Observation
+from resync_robot.core.world import CameraFrame, Cutout, Observation, Window
 from sim_training.scene import (
     PERIOD,
     TORQUE,
     BuiltScene,
+    add_camera,
     build_scene,
     camera_pose_in_world,
     colour_of,
     features_of,
+    look_through,
+    place_camera,
 )
 
 
@@ -58,6 +62,7 @@ class SimWorld:
         self._blocks = [o for o in task.objects if o.type == BLOCK]
         self._torque = np.asarray(TORQUE)
         self._target = JointTarget(rig.arm.home.copy(), rig.gripper.max_opening)
+        self._small: dict[tuple[str, int], RenderCameraComponent] = {}
         self._hooks: list[Callable[[SimWorld], None]] = []
         self.built.set_configuration(self._target.arm, self._target.opening)
 
@@ -165,6 +170,23 @@ class SimWorld:
         return CameraFrame(
             name, colour, depth, self.rig.camera(name).intrinsics, camera_pose_in_world(camera), self.time
         )
+
+    def render_window(self, name: str, window: Window, size: int, error: np.ndarray) -> Cutout:
+        """A noiseless part of a picture, by rays of its own: much cheaper than the whole. Raises UnknownNameError.
+
+        Args:
+            error: (4, 4) where the camera stands beside its place, in its own axes.
+        """
+        if (name, size) not in self._small:
+            self._small[name, size] = add_camera(
+                self.built.scene, self.built.robot, self.rig.camera(name), self.rig.camera(name).pose, (size, size)
+            )
+        camera = self._small[name, size]
+        place_camera(camera, self.rig.camera(name), self.rig.camera(name).pose @ error)
+        look_through(camera, self.rig.camera(name), window)
+        self.built.scene.update_render()
+        camera.take_picture()
+        return Cutout(name, colour_of(camera), self.time)
 
     def _tip_force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """From the joint drives' own efforts, as a real arm estimates it from its motor currents."""

@@ -67,6 +67,10 @@ class RenderError(ResyncError):
     """No device can render."""
 
 
+class PolicyError(ResyncError):
+    """A camera policy that cannot be read, or that does not fit this rig."""
+
+
 class TrainingError(ResyncError):
     """A training phase that cannot produce what the next one needs."""
 

@@ -5,6 +5,7 @@
       domain.pddl           types, predicates, operators
       predicates/NAME.json  signature, form, effects;  NAME.safetensors  classifier weights
       skills/NAME.json      signature, settings;       NAME.safetensors  policy and terminal weights
+      policies/NAME/        the skill's camera policy, where one was trained: a LeRobot checkpoint, as LeRobot wrote it
       execution.json        which learned atom each skill relies on, and other names of skills
       gaussians.json        pair Gaussians of failures and recoveries
       provenance.json       git hash, seeds, versions, figures, durations
@@ -54,6 +55,8 @@ class Library:
     gaussians: Mapping[str, Any]
     provenance: Mapping[str, Any]
     execution: Mapping[str, Any] = field(default_factory=dict)
+    policies: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict)
+    """By skill: file name -> content."""
 
     @property
     def content_hash(self) -> str:
@@ -137,6 +140,7 @@ def load_library(folder: Path) -> Library:
         gaussians=_parse(folder, "gaussians.json", contents["gaussians.json"]),
         provenance=_parse(folder, "provenance.json", contents["provenance.json"]),
         execution=_parse(folder, "execution.json", contents["execution.json"]),
+        policies=_policies(contents),
     )
 
 
@@ -153,7 +157,18 @@ def _files(library: Library) -> dict[str, bytes]:
             if record.tensors:
                 arrays = {k: np.ascontiguousarray(v) for k, v in sorted(record.tensors.items())}
                 contents[f"{room}/{name}.safetensors"] = save_tensors(arrays)
+    for skill, files in library.policies.items():
+        contents |= {f"policies/{skill}/{name}": data for name, data in files.items()}
     return contents
+
+
+def _policies(contents: Mapping[str, bytes]) -> dict[str, dict[str, bytes]]:
+    found: dict[str, dict[str, bytes]] = {}
+    for path, data in contents.items():
+        room, *rest = Path(path).parts
+        if room == "policies" and len(rest) == 2:
+            found.setdefault(rest[0], {})[rest[1]] = data
+    return found
 
 
 def _records(folder: Path, contents: Mapping[str, bytes], room: str) -> dict[str, Record]:

@@ -46,7 +46,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Glimpse:
+class Cutout:
     """A window of a picture, scaled to (size, size).
 
     Attributes:
@@ -59,7 +59,7 @@ class Glimpse:
     time: float
 
 
-Look = Callable[[str, Window, int], Glimpse]
+Look = Callable[[str, Window, int], Cutout]
 """(camera, window, size) -> what that camera sees there now. Raises UnknownNameError or PerceptionError."""
 
 
@@ -75,6 +75,7 @@ class Observation:
         tip_force: (3,) force that the world exerts on the hand, N, world frame, estimated.
         state: the current belief about the objects, the robot's own features always measured.
         look: takes pictures, where the world has cameras that a skill may look through while it runs.
+        realtime: time goes on while a skill thinks; a simulator waits.
     """
 
     time: float
@@ -84,6 +85,7 @@ class Observation:
     tip_force: Float[np.ndarray, "3"]
     state: State
     look: Look | None = None
+    realtime: bool = False
 
 
 class World(Protocol):

@@ -21,8 +21,8 @@ VIEWS = ("front", "side", "wrist")
 """The cameras of the rig that a policy looks through, in the order of its inputs."""
 PICTURE = 64
 """Pixels of a side of what the policy sees."""
-SPAN = 0.28
-"""m that a window shows at the distance of the finger tips."""
+SPAN = 0.22
+"""m that a window shows at the distance of the finger tips: the block, and the walls until it is clear of them."""
 RATE_HZ = 10.0
 STATE_NAMES = (
     *(f"joint_{i}_rad" for i in range(6)),
@@ -38,6 +38,9 @@ DONE, DONE_IN_A_ROW = 0.5, 2
 """A policy is believed to be done when it says so, above this probability, so often in a row."""
 
 
+BLOCK_NAMES = ("forward_m", "left_m", "up_m", "gap_x_m", "gap_y_m")
+
+
 @dataclass(frozen=True)
 class Prediction:
     """What a policy says of n observations.
@@ -45,13 +48,14 @@ class Prediction:
     Attributes:
         steps: (n, horizon, 3) m, the next steps of the hand, of which the first begins when the present one ends.
         done: (n,) probability that there is nothing left to do.
-        offset: (n, 3) m from the tip to the middle of the block's top, in the hand's axes, as far as it can be seen.
+        block: (n, 5) m, as far as it can be seen: from the tip to the middle of the block's top in the hand's axes,
+            then the block's distance to the nearer wall on each axis of the box.
         views: (n, views, views) probability that picture i comes from camera j.
     """
 
     steps: Float[np.ndarray, "n h 3"]
     done: Float[np.ndarray, " n"]
-    offset: Float[np.ndarray, "n 3"]
+    block: Float[np.ndarray, "n 5"]
     views: Float[np.ndarray, "n v v"]
 
 
@@ -69,8 +73,9 @@ def window_at(camera: CameraRig, world_T_cam: Float[np.ndarray, "4 4"], tip: Flo
         tip: position of the finger tips in the world, m.
     """
     if camera.mount == "flange":
-        # It moves with the hand: the hand is always at one place of its picture, which shows little else.
-        return Window(0.0, 0.0, float(camera.width), float(camera.height))
+        # It moves with the hand, which is always at one place of its picture, in the middle of its width.
+        width = min(camera.width, 1.25 * camera.height)
+        return Window((camera.width - width) / 2, 0.0, width, float(camera.height))
     x, y, z = spatial.inverse(world_T_cam)[:3] @ np.append(tip, 1.0)
     z = max(float(z), 0.05)
     side = min(camera.fx * SPAN / z, camera.width, camera.height)
@@ -105,3 +110,45 @@ def to_hand(vectors: Float[np.ndarray, "*n 3"], yaw: float) -> Float[np.ndarray,
 def from_hand(vectors: Float[np.ndarray, "*n 3"], yaw: float) -> Float[np.ndarray, "*n 3"]:
     """The inverse of `to_hand`."""
     return to_hand(vectors, -yaw)
+
+
+EXECUTE = 2
+"""Steps of a chunk that are carried out before the next chunk takes over."""
+BLEND = 0.3
+"""Share that the older of two overlapping chunks keeps: no jump at the seam."""
+
+
+class Chunks:
+    """Chunks of steps as they come in, one after the other, and the next step to take.
+
+    Each chunk is asked for while a step is under way and begins with the one after it, so the policy has one control
+    step of time to think. A chunk that is late is bridged by what is left of the one before.
+    """
+
+    def __init__(self) -> None:
+        self._steps = np.zeros((0, 3))
+        self._used = 0
+
+    @property
+    def wanting(self) -> bool:
+        """Is it time to ask for the next chunk?"""
+        return self._used >= EXECUTE or not len(self._steps)
+
+    @property
+    def left(self) -> int:
+        """Steps that could still be taken without a new chunk."""
+        return len(self._steps) - self._used
+
+    def push(self, steps: Float[np.ndarray, "h 3"], late: int = 0) -> None:
+        """Take in a chunk that is `late` steps too late."""
+        old, new = self._steps[self._used :], np.array(steps, dtype=np.float64)[late:]
+        shared = min(len(old), len(new))
+        new[:shared] += BLEND * (old[:shared] - new[:shared])
+        self._steps, self._used = new, 0
+
+    def next(self) -> Float[np.ndarray, "3"]:
+        """The next step, m, hand's axes; at rest where there is none left."""
+        if not self.left:
+            return np.zeros(3)
+        self._used += 1
+        return self._steps[self._used - 1]

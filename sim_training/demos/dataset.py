@@ -16,13 +16,13 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from resync_robot.core.errors import TrainingError
-from resync_robot.learning.camera_view import ACTION_NAMES, PICTURE, RATE_HZ, STATE_NAMES, VIEWS
+from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, PICTURE, RATE_HZ, STATE_NAMES, VIEWS
 from sim_training.demos.rollouts import Segment
 
 VERSION = 1
 STAMP = "resync.json"
 """Beside LeRobot's own files: version, seeds, rig."""
-RECOVERED, OFFSET, ENDS = "privileged.recovered", "privileged.offset", "segment.ends_recovered"
+RECOVERED, WHERE, ACTS, ENDS = "privileged.recovered", "privileged.block", "segment.acts", "segment.ends_recovered"
 
 
 def features() -> dict[str, dict[str, Any]]:
@@ -33,7 +33,8 @@ def features() -> dict[str, dict[str, Any]]:
         "observation.state": {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
         "action": {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},
         RECOVERED: {"dtype": "float32", "shape": (1,), "names": ["recovered"]},
-        OFFSET: {"dtype": "float32", "shape": (3,), "names": ["forward_m", "left_m", "up_m"]},
+        WHERE: {"dtype": "float32", "shape": (len(BLOCK_NAMES),), "names": list(BLOCK_NAMES)},
+        ACTS: {"dtype": "float32", "shape": (1,), "names": ["acts"]},
         ENDS: {"dtype": "float32", "shape": (1,), "names": ["ends"]},
     }
 
@@ -79,7 +80,8 @@ def _add(dataset: Any, segment: Segment, task: str) -> None:
                 "observation.state": segment.state[i],
                 "action": segment.action[i],
                 RECOVERED: np.array([segment.recovered[i]], dtype=np.float32),
-                OFFSET: segment.offset[i],
+                WHERE: segment.block[i],
+                ACTS: np.array([segment.acts[i]], dtype=np.float32),
                 ENDS: np.array([segment.ends], dtype=np.float32),
                 "task": task,
             }
@@ -93,7 +95,7 @@ class Demonstrations:
 
     Attributes:
         pictures: (n, views, p, p, 3).
-        state, action, recovered, offset: as in `Segment`.
+        state, action, recovered, block, acts: as in `Segment`.
         segment: (n,) which segment a frame belongs to.
         ends: (n,) does the frame's segment end with the recovery?
     """
@@ -102,7 +104,8 @@ class Demonstrations:
     state: Float[np.ndarray, "n s"]
     action: Float[np.ndarray, "n 3"]
     recovered: Bool[np.ndarray, " n"]
-    offset: Float[np.ndarray, "n 3"]
+    block: Float[np.ndarray, "n 5"]
+    acts: Bool[np.ndarray, " n"]
     segment: np.ndarray
     ends: Bool[np.ndarray, " n"]
 
@@ -116,13 +119,19 @@ def read_shards(folders: Sequence[Path]) -> Demonstrations:
     if not parts:
         raise TrainingError("there is no demonstration: the teacher succeeded in none of its worlds")
     offsets = np.cumsum([0, *(int(p.segment.max()) + 1 for p in parts)])
+
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(p, name) for p in parts])
+
     return Demonstrations(
-        *(
-            np.concatenate([getattr(p, name) for p in parts])
-            for name in ("pictures", "state", "action", "recovered", "offset")
-        ),
+        pictures=joined("pictures"),
+        state=joined("state"),
+        action=joined("action"),
+        recovered=joined("recovered"),
+        block=joined("block"),
+        acts=joined("acts"),
         segment=np.concatenate([p.segment + o for p, o in zip(parts, offsets, strict=False)]),
-        ends=np.concatenate([p.ends for p in parts]),
+        ends=joined("ends"),
     )
 
 
@@ -140,7 +149,8 @@ def _read_shard(folder: Path) -> Demonstrations | None:
         columns["observation.state"].astype(np.float32),
         columns["action"].astype(np.float32),
         columns[RECOVERED].reshape(-1) > 0.5,
-        columns[OFFSET].astype(np.float32),
+        columns[WHERE].astype(np.float32),
+        columns[ACTS].reshape(-1) > 0.5,
         columns["episode_index"],
         columns[ENDS].reshape(-1) > 0.5,
     )

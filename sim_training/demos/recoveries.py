@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import sapien
 import torch
 from jaxtyping import Float, UInt8
 from sapien import render
@@ -15,7 +16,7 @@ from resync_robot.learning import camera_view, recovery_policy
 from resync_robot.learning.camera_view import PICTURE, VIEWS
 from sim_training.demos.starts import Start
 from sim_training.mine import MOVED, SETTLE_STEPS
-from sim_training.recovery import FailedWorlds, lagging
+from sim_training.recovery import FailedWorlds, draw_still, lagging
 from sim_training.scene import add_camera, build_scene, colour_of, look_through
 from sim_training.sensor import NoisySensor
 from sim_training.vector_env import RECOVERY_TORQUE, SUBSTEPS
@@ -101,11 +102,28 @@ class RenderedRecovery:
         row = torch.as_tensor(wanted, dtype=torch.float32)[None]
         return recovery_policy.within_reach(self.x, row)[0].double().numpy()
 
-    def offset(self) -> Float[np.ndarray, "3"]:
-        """From the tip to the middle of the block's top, hand's axes, m: what the auxiliary head learns to see."""
+    def block(self) -> Float[np.ndarray, "5"]:
+        """Where the block is, as in `camera_view.BLOCK_NAMES`: what the policy's auxiliary head learns to see."""
         block = self.x[0, recovery_policy.BLOCK].double().numpy()
         top = spatial.pose_from_features(block[:7]) @ np.array([0.0, 0.0, block[9] / 2, 1.0])
-        return camera_view.to_hand(top[:3] - self._tip(), self.yaw)
+        gaps = recovery_policy.wall_gaps(self.x)[0].double().numpy()
+        return np.concatenate([camera_view.to_hand(top[:3] - self._tip(), self.yaw), gaps])
+
+    def freeze(self, random: torch.Generator) -> None:
+        """Put the block anywhere between its place and the middle of the box, and the hand at rest somewhere over it.
+
+        A recovery's own path hardly shows such moments: a block that is nearly free, or not at all, and a hand that
+        has left it. Yet these are what tells a recovery that is done from one that is not.
+        """
+        still = draw_still(self.x, random)[0].double().numpy()
+        pose = still[recovery_policy.BLOCK][:7]
+        self._body.entity.set_pose(sapien.Pose(pose[:3], pose[3:]))
+        self._body.linear_velocity = self._body.angular_velocity = np.zeros(3)
+        self.sent = still[recovery_policy.TIP]
+        self._last = self._worlds.joints_at(torch.as_tensor(self.sent, dtype=torch.float32)[None], self._zero)[0]
+        self._built.set_configuration(self._last, 0.0)
+        self._before = None
+        self.x = self.previous = self._state()
 
     def _settle(self) -> bool:
         places = {o: b.entity_pose.p.copy() for o, b in self._built.rigid.items() if b is not None}

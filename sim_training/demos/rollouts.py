@@ -7,7 +7,7 @@ carried out. So variety comes from bursts that are not recorded, and each of the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from resync_robot.core.rig import Rig
 from resync_robot.learning import camera_view, recovery_policy
-from resync_robot.learning.camera_view import DONE, DONE_IN_A_ROW, CameraPolicy, proprioception, to_hand
+from resync_robot.learning.camera_view import DONE, DONE_IN_A_ROW, CameraPolicy, Chunks, proprioception, to_hand
 from sim_training.demos.recoveries import RenderedRecovery, Seen
 from sim_training.demos.starts import Start
 from sim_training.recovery import RecoverySettings, is_recovered, is_tipped
@@ -40,8 +40,8 @@ class RolloutSettings:
     burst_size: float = 0.02
     """Most motion a step in a burst, along each axis."""
     least_frames: int = 3
-    execute: int = 2
-    """Steps of a chunk that are carried out before the next one comes."""
+    still: int = 6
+    """Moments without motion for each world."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ class Segment:
         state: (n, 12), as in `camera_view.STATE_NAMES`.
         action: (n, 3) m, the step that followed the one under way.
         recovered: (n,) was there nothing left to do?
-        offset: (n, 3) m, from the tip to the block's top in the hand's axes.
+        block: (n, 5) m, as in `camera_view.BLOCK_NAMES`.
+        acts: (n,) is the action known? A still moment has none.
         ends: did it end with the recovery, rather than with a burst?
     """
 
@@ -61,7 +62,8 @@ class Segment:
     state: Float[np.ndarray, "n s"]
     action: Float[np.ndarray, "n 3"]
     recovered: Bool[np.ndarray, " n"]
-    offset: Float[np.ndarray, "n 3"]
+    block: Float[np.ndarray, "n 5"]
+    acts: Bool[np.ndarray, " n"]
     ends: bool
 
 
@@ -72,7 +74,7 @@ class _Frames:
     seen: list[Seen] = field(default_factory=list)
     sent: list[np.ndarray] = field(default_factory=list)
     recovered: list[bool] = field(default_factory=list)
-    offset: list[np.ndarray] = field(default_factory=list)
+    block: list[np.ndarray] = field(default_factory=list)
 
     def finish(self, yaw: float, ends: bool) -> Segment:
         sent = np.stack(self.sent)
@@ -86,7 +88,8 @@ class _Frames:
             ),
             to_hand(steps, yaw).astype(np.float32),
             np.array(self.recovered[:count]),
-            np.stack(self.offset[:count]).astype(np.float32),
+            np.stack(self.block[:count]).astype(np.float32),
+            np.ones(count, dtype=bool),
             ends,
         )
 
@@ -102,8 +105,7 @@ class _Run:
         self.over = not scene.stands
         self.success = False
         self.push = np.zeros(3)
-        self.chunk: np.ndarray | None = None
-        self.chunk_used = 0
+        self.chunks = Chunks()
         self.said_done = 0
 
     @property
@@ -136,7 +138,7 @@ class _Run:
         self.frames.seen.append(scene.see())
         self.frames.sent.append(np.array(self.goal))
         self.frames.recovered.append(recovered)
-        self.frames.offset.append(scene.offset())
+        self.frames.block.append(scene.block())
         self.taught += 1
         if self.held > s.hold:
             self.success, self.over = recovered, True
@@ -167,7 +169,7 @@ def demonstrate(
         runs.append(_Run(RenderedRecovery(start, rig, recovery.lag, seed + i), s, steps, seed + i))
     while any(not r.over for r in runs):
         if student is not None:
-            _advance_students([r for r in runs if r.with_student], student, s)
+            _advance_students([r for r in runs if r.with_student], student)
         taught = [r for r in runs if not r.over and not r.with_student]
         if taught:
             x = torch.cat([r.scene.x for r in taught])
@@ -182,30 +184,37 @@ def demonstrate(
         for r in runs:
             if not r.over:
                 r.scene.step(r.goal)
-            if r.student_left > 0:
-                r.student_left -= 1
-                if r.student_left == 0:
-                    r.chunk = None
-    return [r.segments if r.success else [] for r in runs]
+            r.student_left -= 1
+    random = torch.Generator().manual_seed(seed)
+    return [[*r.segments, _still(r.scene, recovery, s.still, random)] if r.success else [] for r in runs]
 
 
-def _advance_students(runs: Sequence[_Run], student: CameraPolicy, s: RolloutSettings) -> None:
+def _still(scene: RenderedRecovery, recovery: RecoverySettings, count: int, random: torch.Generator) -> Segment:
+    """Moments without motion, for what tells a recovery that is done from one that is not."""
+    frames = _Frames()
+    for _ in range(count):
+        scene.freeze(random)
+        frames.seen.append(scene.see())
+        frames.sent.append(np.array(scene.sent))
+        frames.recovered.append(bool(is_recovered(scene.x, scene.x, recovery)))
+        frames.block.append(scene.block())
+    found = frames.finish(scene.yaw, ends=True)
+    nothing = np.zeros(count, dtype=bool)
+    return replace(found, action=np.zeros_like(found.action), acts=nothing, ends=False)
+
+
+def _advance_students(runs: Sequence[_Run], student: CameraPolicy) -> None:
     """The next step of every run with a student at the helm: `goal` is what is under way, chunks say what follows."""
-    asking = []
     for r in runs:
-        if r.chunk is not None:
-            step = camera_view.from_hand(r.chunk[r.chunk_used], r.scene.yaw)
-            r.goal = r.scene.reach(r.scene.sent + step)
-            r.chunk_used += 1
-        if r.chunk is None or r.chunk_used >= s.execute:
-            asking.append(r)
+        r.goal = r.scene.reach(r.scene.sent + camera_view.from_hand(r.chunks.next(), r.scene.yaw))
+    asking = [r for r in runs if r.chunks.wanting]
     if not asking:
         return
     seen = [r.scene.see() for r in asking]
     states = [proprioception(o.q, o.tip, r.goal, r.scene.yaw) for o, r in zip(seen, asking, strict=True)]
     said = student(np.stack([o.pictures for o in seen]), np.stack(states))
     for r, steps, done in zip(asking, said.steps, said.done, strict=True):
-        r.chunk, r.chunk_used = steps, 0
+        r.chunks.push(steps)
         r.said_done = r.said_done + 1 if done > DONE else 0
 
 
@@ -244,7 +253,7 @@ def try_student(
     ]
     trials: list[Trial | None] = [None] * len(runs)
     for step in range(s.student_horizon):
-        _advance_students([r for r in runs if not r.over], student, s)
+        _advance_students([r for r in runs if not r.over], student)
         for i, r in enumerate(runs):
             if r.over:
                 continue

@@ -1,0 +1,254 @@
+"""The recovery as the deployed robot runs it: three pictures and the joints in, steps of the hand out.
+
+The policy thinks on a thread of its own while the step before is carried out, so the stream of targets never waits
+for it. A monitor looks at the same pictures and predictions, and ends the skill where they make no sense: the planner
+then looks around and plans anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from policies.cartesian import Blocked, Hand, Motion, run_motion
+from policies.grasp import travel_height
+from policies.neural import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import Rig
+from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.core.world import Cutout, Observation
+from resync_robot.learning.camera_view import (
+    DONE,
+    DONE_IN_A_ROW,
+    PICTURE,
+    VIEWS,
+    CameraPolicy,
+    Chunks,
+    Prediction,
+    from_hand,
+    proprioception,
+    window_at,
+)
+from resync_robot.learning.recovery_policy import project, within_reach
+
+
+@dataclass(frozen=True, kw_only=True)
+class MonitorSettings:
+    """When a recovery is given up. Lengths in m, times in s."""
+
+    dark: float = 6.0
+    """Mean brightness of a picture, of 255, below which the camera counts as black."""
+    frozen: int = 3
+    """Times in a row that a camera may give the very same picture; noise makes any two differ."""
+    late: float = 0.25
+    """Age of a picture; training has pictures that are up to 0.1 s old."""
+    sure: float = 0.9
+    """Probability from which a picture is believed to come from another camera than it says."""
+    largest_step: float = 0.035
+    """Of the hand in 0.1 s: training never sees more than 0.02 along an axis."""
+    stall_decisions: int = 30
+    stall: float = 0.004
+    """The hand has moved less than this in so many decisions, and the policy does not say that it is done."""
+    lost: float = 0.09
+    """Horizontal distance from the tips to the block, as the policy sees it, at which the block counts as lost."""
+    lost_in_a_row: int = 4
+
+
+def camera_recovery_skill(
+    name: str,
+    policy: CameraPolicy,
+    rig: Rig,
+    settings: RecoverySkillSettings | None = None,
+    monitor: MonitorSettings | None = None,
+) -> Skill:
+    """A recovery over (robot, block, box) that follows its block by camera.
+
+    Raises:
+        UnknownNameError: the rig lacks a camera that the policy looks through.
+    """
+    s, m = settings or RecoverySkillSettings(), monitor or MonitorSettings()
+    for view in VIEWS:
+        rig.camera(view)
+    return Skill(
+        name,
+        (ROBOT, BLOCK, BOX),
+        lambda objects, first: run_motion(_recover(objects, first, rig, policy, s, m), first),
+        RATE_HZ,
+        time_limit_s=45,
+        effort_limit=s.effort_limit,
+    )
+
+
+class Stopped(Exception):
+    """The monitor ends the skill; the message says why."""
+
+
+def _recover(
+    objects: tuple[Object, ...],
+    first: Observation,
+    rig: Rig,
+    policy: CameraPolicy,
+    s: RecoverySkillSettings,
+    m: MonitorSettings,
+) -> Motion:
+    robot, block, box = objects
+    hand = Hand(rig, first, 1.0 / RATE_HZ, stray=np.inf)
+    above = travel_height(first.state, carried=None)
+    finished = False
+    try:
+        refused = yield from approach(hand, first.state, block, box, above, s)
+        if refused is not None:
+            return refused
+        with ThreadPoolExecutor(1, "camera-policy") as thread:
+            finished = yield from _drive(hand, (robot, block, box), rig, policy, thread, s, m)
+        yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
+    except Blocked as blocked:
+        return Outcome(Ending.BLOCKED, str(blocked))
+    except Stopped as stopped:
+        yield from hand.back_off(above, s.approach_speed)
+        return Outcome(Ending.BLOCKED, str(stopped))
+    if not finished:
+        return Outcome(Ending.TIMEOUT, f"{s.max_decisions / 10:.0f} s of the policy did not recover {block}")
+    return Outcome(Ending.DONE)
+
+
+def _drive(
+    hand: Hand,
+    objects: tuple[Object, Object, Object],
+    rig: Rig,
+    policy: CameraPolicy,
+    thread: ThreadPoolExecutor,
+    s: RecoverySkillSettings,
+    m: MonitorSettings,
+) -> Generator[JointTarget, Observation, bool]:
+    """Steps until the policy says that it is done. Returns whether it did. Raises Stopped."""
+    watch = _Watch(m, rig)
+    chunks, thinking = Chunks(), _Thinking(policy, thread)
+    done_in_a_row = 0
+    for _ in range(s.max_decisions):
+        goal = _reach(hand, objects, hand.position + from_hand(watch.step(chunks.next()), hand.yaw))
+        if chunks.wanting and not thinking.busy:
+            thinking.ask(*_observe(hand, goal, rig, watch))
+        begin = hand.position.copy()
+        for i in range(1, DECISION_STEPS + 1):
+            hand.position = begin + (goal - begin) * i / DECISION_STEPS
+            hand.last = yield hand.target()
+        answer = thinking.answer(wait=not hand.last.realtime or not chunks.left)
+        if answer is not None:
+            prediction, late = answer
+            watch.prediction(prediction)
+            chunks.push(prediction.steps[0], late)
+            done_in_a_row = done_in_a_row + 1 if prediction.done[0] > DONE else 0
+            if done_in_a_row >= DONE_IN_A_ROW:
+                return True
+        watch.motion(rig.tip_pose(hand.last.arm)[:3, 3])
+    return False
+
+
+class _Thinking:
+    """One question to the policy at a time, answered on its own thread."""
+
+    def __init__(self, policy: CameraPolicy, thread: ThreadPoolExecutor) -> None:
+        self._policy, self._thread = policy, thread
+        self._future: Future[Prediction] | None = None
+        self._steps = 0
+
+    @property
+    def busy(self) -> bool:
+        return self._future is not None
+
+    def ask(self, pictures: np.ndarray, state: np.ndarray) -> None:
+        self._future, self._steps = self._thread.submit(self._policy, pictures[None], state[None]), 0
+
+    def answer(self, wait: bool) -> tuple[Prediction, int] | None:
+        """The prediction, and by how many control steps it is late; None while the policy still thinks."""
+        if self._future is None:
+            return None
+        if not wait and not self._future.done():
+            self._steps += 1
+            return None
+        found, self._future = self._future.result(), None
+        return found, self._steps
+
+
+@dataclass
+class _Watch:
+    """Notices what cannot be right. Every method raises Stopped."""
+
+    settings: MonitorSettings
+    rig: Rig
+    _last: dict[str, tuple[bytes, int]] = field(default_factory=dict)
+    _tips: list[np.ndarray] = field(default_factory=list)
+    _strange: int = 0
+    _lost: int = 0
+
+    def picture(self, cutout: Cutout, now: float) -> None:
+        m = self.settings
+        if float(cutout.colour.mean()) < m.dark:
+            raise Stopped(f"camera '{cutout.name}' is black")
+        age = now - cutout.time
+        if age > m.late:
+            raise Stopped(f"the picture of camera '{cutout.name}' is {age:.2f} s old; allowed: {m.late} s")
+        content = cutout.colour.tobytes()
+        before, times = self._last.get(cutout.name, (b"", 0))
+        times = times + 1 if content == before else 1
+        self._last[cutout.name] = content, times
+        if times > m.frozen:
+            raise Stopped(f"camera '{cutout.name}' has given the same picture {times} times")
+
+    def prediction(self, p: Prediction) -> None:
+        m, views = self.settings, p.views[0]
+        if not all(np.all(np.isfinite(part)) for part in (p.steps, p.done, p.block)):
+            raise Stopped("the policy gives numbers that are none")
+        taken_for = views.argmax(-1)
+        swapped = [i for i in range(len(VIEWS)) if taken_for[i] != i and views[i].max() > m.sure]
+        self._strange = self._strange + 1 if swapped else 0
+        if self._strange >= 2:
+            i = swapped[0]
+            raise Stopped(f"the pictures of camera '{VIEWS[i]}' look like those of '{VIEWS[int(taken_for[i])]}'")
+        away = float(np.hypot(*p.block[0, :2]))
+        self._lost = self._lost + 1 if away > m.lost else 0
+        if self._lost >= m.lost_in_a_row:
+            raise Stopped(f"the block is not beneath the hand any more, but {1000 * away:.0f} mm beside it")
+
+    def step(self, step: np.ndarray) -> np.ndarray:
+        largest = float(np.abs(step).max())
+        if largest > self.settings.largest_step:
+            raise Stopped(f"the policy wants a step of {1000 * largest:.0f} mm in 0.1 s")
+        return step
+
+    def motion(self, tip: np.ndarray) -> None:
+        m = self.settings
+        self._tips.append(np.array(tip))
+        recent = self._tips[-m.stall_decisions :]
+        if len(recent) == m.stall_decisions and np.ptp(recent, axis=0).max() < m.stall:
+            raise Stopped(f"the hand has not moved for {m.stall_decisions / 10:.0f} s")
+
+
+def _observe(hand: Hand, goal: np.ndarray, rig: Rig, watch: _Watch) -> tuple[np.ndarray, np.ndarray]:
+    """Pictures (views, p, p, 3) and state (12,) as in training: the step to `goal` is under way."""
+    seen = hand.last
+    if seen.look is None:
+        raise Stopped("there is no camera to look through")
+    tip = rig.tip_pose(seen.arm)[:3, 3]
+    pictures = []
+    for view in VIEWS:
+        camera = rig.camera(view)
+        cutout = seen.look(view, window_at(camera, rig.camera_pose(camera, seen.arm), tip), PICTURE)
+        watch.picture(cutout, seen.time)
+        pictures.append(cutout.colour)
+    return np.stack(pictures), proprioception(seen.arm, tip, goal, hand.yaw)
+
+
+def _reach(hand: Hand, objects: tuple[Object, Object, Object], wanted: np.ndarray) -> np.ndarray:
+    """Where the tip is sent if it is wanted there: on its leash, inside the box as it was perceived."""
+    state: State = hand.last.state
+    x = project(state, *objects, hand.position)
+    return within_reach(x, torch.as_tensor(wanted, dtype=torch.float32)[None])[0].double().numpy()
