@@ -45,9 +45,14 @@ class RecoverySkillSettings:
 def recovery_skill(name: str, record: Record, rig: Rig, settings: RecoverySkillSettings | None = None) -> Skill:
     """The skill of a library record, over (robot, block, box). Raises LibraryError on a broken record."""
     s = settings or RecoverySkillSettings()
-    net = ActorCritic.from_record(Record(record.meta.get("policy", {}), _part(record, "policy.")))
-    done = Terminal.from_record(Record(record.meta.get("terminal", {}), _part(record, "terminal.")))
+    net, done = recovery_nets(record)
     return skill_from(name, net.act, done.probability, rig, s)
+
+
+def recovery_nets(record: Record) -> tuple[ActorCritic, Terminal]:
+    """The policy and the terminal function of a record. Raises LibraryError on a broken one."""
+    net = ActorCritic.from_record(Record(record.meta.get("policy", {}), _part(record, "policy.")))
+    return net, Terminal.from_record(Record(record.meta.get("terminal", {}), _part(record, "terminal.")))
 
 
 def skill_from(

@@ -10,12 +10,11 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
@@ -23,21 +22,7 @@ from torch import Tensor
 from policies.diffusion import ACTION, IMAGES, STATE, DiffusionStudent
 from resync_robot.core.errors import TrainingError
 from resync_robot.learning.camera_view import STATE_NAMES, VIEWS
-
-
-class Frames(Protocol):
-    """Demonstrations in memory; n frames. `sim_training.demos.dataset` says what each is."""
-
-    pictures: UInt8[np.ndarray, "n v p p 3"]
-    state: Float[np.ndarray, "n s"]
-    action: Float[np.ndarray, "n 3"]
-    recovered: Bool[np.ndarray, " n"]
-    block: Float[np.ndarray, "n 5"]
-    acts: Bool[np.ndarray, " n"]
-    segment: np.ndarray
-    ends: Bool[np.ndarray, " n"]
-
-    def __len__(self) -> int: ...
+from resync_robot.learning.demonstrations import Demonstrations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +44,7 @@ class DistilSettings:
     view_weight: float = 0.02
 
 
-def statistics_of(frames: Frames) -> dict[str, dict[str, np.ndarray]]:
+def statistics_of(frames: Demonstrations) -> dict[str, dict[str, np.ndarray]]:
     """Mean, std, min and max of everything that a policy sees and does, as LeRobot names them."""
 
     def of(values: np.ndarray, least_std: float) -> dict[str, np.ndarray]:
@@ -91,9 +76,9 @@ class Trainer:
         self._parameters = parameters
         self._rng = np.random.default_rng([seed, 61])
         self._torch_rng = torch.Generator(student.device).manual_seed(seed)
-        self._frames: Frames | None = None
+        self._frames: Demonstrations | None = None
 
-    def use(self, frames: Frames) -> None:
+    def use(self, frames: Demonstrations) -> None:
         """Train on these demonstrations from now on."""
         self._frames = frames
         self._chunks, self._valid = chunks_of(frames, self.student.horizon)
@@ -255,7 +240,7 @@ class Averaged:
                 parameter.copy_(value)
 
 
-def chunks_of(frames: Frames, horizon: int) -> tuple[Float[np.ndarray, "n h 3"], Bool[np.ndarray, "n h"]]:
+def chunks_of(frames: Demonstrations, horizon: int) -> tuple[Float[np.ndarray, "n h 3"], Bool[np.ndarray, "n h"]]:
     """For every frame the actions from there on, and which of them are known.
 
     After a recovery the hand rests, so what follows the end is known; after a burst it is not.

@@ -1,4 +1,4 @@
-"""Training in simulation, stage by stage: mine failures, learn the recovery, dream, discover concepts, save."""
+"""Training in simulation, stage by stage: mine failures, learn the recovery, dream, discover concepts, distil, save."""
 
 from __future__ import annotations
 
@@ -42,6 +42,9 @@ class TrainConfig:
     concepts: Literal["default", "paper"] = "default"
     """How predicates and operators are learned: this project's choices or the published formulation."""
 
+    skills: Literal["camera", "state"] = "camera"
+    """camera: teach the recovery to see by camera as well, at the end. state: leave it at the simulator's state."""
+
     workers: int = 2
     """Simulation processes, for --device cpu."""
 
@@ -66,13 +69,15 @@ def train(config: TrainConfig) -> None:
         if (path / "config.json").exists():
             raise ConfigError(f"{path} already holds a run", "add --resume to go on with it, or give another --out")
     _check_device(config)
+    if config.skills == "camera":
+        _check_renderer()
     folder = run_folder.RunFolder(path)
     run_folder.write_json(path / "config.json", _settings(config))
     _quiet_threads()
     _run(config, domain, folder)
 
 
-SHAPING = ("domain", "preset", "seed", "concepts", "device")
+SHAPING = ("domain", "preset", "seed", "concepts", "device", "skills")
 """Settings that decide the outcome; a resumed run keeps those it began with."""
 
 
@@ -105,6 +110,17 @@ def _check_device(config: TrainConfig) -> None:
             )
 
 
+def _check_renderer() -> None:
+    """What only the last stage needs is missed at once. Raises RenderError."""
+    from resync_robot.core.errors import RenderError
+    from sim_training.scene import require_renderer
+
+    try:
+        require_renderer()
+    except RenderError as error:
+        raise RenderError(error.what, f"{error.fix}; or leave the camera policy out with --skills state") from None
+
+
 def _quiet_threads() -> None:
     """One thread a process: the scenes are the parallelism."""
     import os
@@ -117,12 +133,22 @@ def _quiet_threads() -> None:
 
 def _run(config: TrainConfig, domain: Domain, folder: RunFolder) -> None:
     from resync_robot import stages
+    from resync_robot.distil import PLANS, distil
     from resync_robot.learning.concepts import learn_concepts
     from resync_robot.progress import Stages
 
     preset = stages.PRESETS[config.preset]
     w, seed = config.workers, config.seed
-    with Stages(("mine", "recover", "check", "dream", "concepts", "save")) as bars:
+    names = [
+        "mine",
+        "recover",
+        "check",
+        "dream",
+        "concepts",
+        *(["distil"] if config.skills == "camera" else []),
+        "save",
+    ]
+    with Stages(tuple(names)) as bars:
         with folder.timed("mine"), bars.stage("mine") as progress:
             mined = stages.mine(domain, folder, preset, seed, w, progress)
         with folder.timed("recovery"), bars.stage("recover") as progress:
@@ -152,8 +178,13 @@ def _run(config: TrainConfig, domain: Domain, folder: RunFolder) -> None:
                 raise TrainingError(
                     f"no operator was learned for {domain.recovery}", "train with more dreams: --preset full"
                 )
+        policy = None
+        if config.skills == "camera":
+            with folder.timed("distil"), bars.stage("distil") as progress:
+                plan = PLANS[config.preset]
+                policy = distil(domain, folder, plan, record, gaussians, seed, w, config.device, progress)
         with folder.timed("save"), bars.stage("save"):
-            _save(config, domain, folder, mined, record, gaussians, concepts)
+            _save(config, domain, folder, mined, record, gaussians, concepts, policy)
     _report(domain, folder, concepts)
 
 
@@ -165,6 +196,7 @@ def _save(
     record: Record,
     gaussians: dict[str, PairGaussian],
     concepts: Concepts,
+    policy: dict[str, bytes] | None,
 ) -> None:
     from importlib.metadata import version
 
@@ -180,7 +212,7 @@ def _save(
     provenance = {
         **_settings(config),
         "version": __version__,
-        "packages": {p: version(p) for p in ("torch", "sapien", "numpy", "pyperplan")},
+        "packages": {p: version(p) for p in ("torch", "lerobot", "sapien", "numpy", "pyperplan")},
         "failure": {
             "skill": culprit.skill,
             "object": culprit.failure_object.name,
@@ -188,7 +220,7 @@ def _save(
         },
         "figures": {s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
     }
-    library = make_library(domain, load_rig(), record, gaussians, concepts, provenance)
+    library = make_library(domain, load_rig(), record, gaussians, concepts, provenance, policy)
     save_library(library, folder.library)
     folder.record("save", {"content_hash": library.content_hash})
     draw_learning_curve(metrics["recovery"]["curve"], folder.path / "recovery.png")
@@ -206,6 +238,9 @@ def _report(domain: Domain, folder: RunFolder, concepts: Concepts) -> None:
         f"Recovery: learned in {m['recovery']['steps'] / 1000:.0f} k control steps; followed by a real pick in "
         f"{check['picked']} of {check['worlds']} fresh worlds."
     )
+    if "distil" in m:
+        chosen = next(p for p in m["distil"]["points"] if p["step"] == m["distil"]["chosen"])
+        say(f"By camera: recovered in {chosen['success']} of {chosen['worlds']} worlds of its own.")
     learned = [p for p in concepts.predicates if p.name not in {q.name for q in domain.predicates}]
     say(
         "Discovered predicates: "

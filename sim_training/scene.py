@@ -345,6 +345,11 @@ def _configure_renderer() -> render.RenderSystem:
         ) from None
 
 
+def require_renderer() -> None:
+    """Raises RenderError where no device can render."""
+    _configure_renderer()
+
+
 def camera_pose_in_world(component: render.RenderCameraComponent) -> np.ndarray:
     """(4, 4) world_T_cam in OpenCV axes, as simulated."""
     axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])

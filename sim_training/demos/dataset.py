@@ -8,15 +8,15 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import UInt8
 
 from resync_robot.core.errors import TrainingError
 from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, PICTURE, RATE_HZ, STATE_NAMES, VIEWS
+from resync_robot.learning.demonstrations import Demonstrations
 from sim_training.demos.rollouts import Segment
 
 VERSION = 1
@@ -87,30 +87,6 @@ def _add(dataset: Any, segment: Segment, task: str) -> None:
             }
         )
     dataset.save_episode()
-
-
-@dataclass(frozen=True)
-class Demonstrations:
-    """All frames of some shards, in order.
-
-    Attributes:
-        pictures: (n, views, p, p, 3).
-        state, action, recovered, block, acts: as in `Segment`.
-        segment: (n,) which segment a frame belongs to.
-        ends: (n,) does the frame's segment end with the recovery?
-    """
-
-    pictures: UInt8[np.ndarray, "n v p p 3"]
-    state: Float[np.ndarray, "n s"]
-    action: Float[np.ndarray, "n 3"]
-    recovered: Bool[np.ndarray, " n"]
-    block: Float[np.ndarray, "n 5"]
-    acts: Bool[np.ndarray, " n"]
-    segment: np.ndarray
-    ends: Bool[np.ndarray, " n"]
-
-    def __len__(self) -> int:
-        return len(self.state)
 
 
 def read_shards(folders: Sequence[Path]) -> Demonstrations:

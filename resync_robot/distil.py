@@ -1,0 +1,254 @@
+"""The last stage of training: from the recovery that knows the exact state to one that sees three cameras.
+
+The teacher demonstrates in rendered scenes; the student learns from it; then, for a few rounds, the student drives
+first and the teacher goes on from wherever that leads. Of the students along the way the one that recovers most often
+in worlds of its own is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from resync_robot.core.errors import TrainingError
+from resync_robot.core.library import Record
+from resync_robot.core.rig import Rig, load_rig
+from resync_robot.core.task import Domain
+from resync_robot.learning.camera_view import CameraPolicy
+from resync_robot.learning.failures import PairGaussian
+from resync_robot.learning.recovery_policy import ActorCritic
+from resync_robot.run_folder import RunFolder, git_hash, read_json, write_json
+from resync_robot.stages import TRAINING_SEEDS, Progress
+from sim_training.demos import dataset
+from sim_training.demos.rollouts import Teacher, Trial, demonstrate, try_student
+from sim_training.demos.starts import draw_start
+from sim_training.domains import find_domain
+from sim_training.parallel import parallel_map
+from sim_training.randomise import PICTURED, Ranges
+from sim_training.recovery import RecoverySettings
+
+if TYPE_CHECKING:
+    from policies.diffusion import DiffusionStudent
+
+SHARD = 16
+"""Worlds of one shard; they are stepped together, so that the student thinks for all of them at once."""
+DEMONSTRATIONS, TRIALS = 700_000, 900_000
+"""Where in a training seed's worlds those of the demonstrations and of the trials begin."""
+CHECKPOINT_EVERY = 250
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistilPlan:
+    """How much of everything."""
+
+    worlds: int = 320
+    """Worlds of the teacher alone."""
+    rounds: int = 2
+    """Rounds in which the student drives first."""
+    round_worlds: int = 160
+    steps: int = 1800
+    """Of training on the teacher's own worlds."""
+    round_steps: int = 1200
+    """Of training after each round."""
+    trials: int = 48
+    """Worlds in which each candidate is tried."""
+    batch: int = 64
+    looks: Ranges = PICTURED
+
+
+PLANS = {
+    "smoke": DistilPlan(worlds=16, rounds=1, round_worlds=16, steps=20, round_steps=10, trials=8, batch=16),
+    "quick": DistilPlan(),
+    "full": DistilPlan(
+        worlds=8000, rounds=3, round_worlds=2000, steps=40_000, round_steps=15_000, trials=400, batch=128
+    ),
+}
+
+
+@dataclass(frozen=True)
+class _Context:
+    """What demonstrations and trials need, rebuilt in each worker."""
+
+    domain: Domain
+    rig: Rig
+    teacher: Teacher
+    student: CameraPolicy | None
+    gaussians: Mapping[str, PairGaussian]
+
+
+def _make_context(domain: str, record: Record, gaussians: Mapping[str, PairGaussian], student: Path | None) -> _Context:
+    from policies.neural import recovery_nets
+
+    net: ActorCritic = recovery_nets(record)[0]
+    policy = None
+    if student is not None:
+        from policies.diffusion import load_student
+
+        policy = load_student(student)
+    return _Context(find_domain(domain), load_rig(), net.act, policy, gaussians)
+
+
+@dataclass(frozen=True)
+class _Shard:
+    folder: Path
+    first_seed: int
+    looks: Ranges
+
+
+def _demonstrate(context: _Context, shard: _Shard) -> int:
+    """Write one shard. Returns how many of its worlds were recovered."""
+    seeds = range(shard.first_seed, shard.first_seed + SHARD)
+    starts = [draw_start(context.domain, context.gaussians, s, shard.looks) for s in seeds]
+    found = demonstrate(starts, context.rig, context.teacher, RecoverySettings(), shard.first_seed, context.student)
+    stamp = {"first_seed": shard.first_seed, "rig_hash": context.rig.hash, "git": git_hash()}
+    dataset.write_shard(shard.folder, [s for segments in found for s in segments], context.domain.recovery, stamp)
+    return sum(1 for segments in found if segments)
+
+
+def _try(context: _Context, seeds: tuple[int, ...]) -> list[Trial | None]:
+    if context.student is None:
+        raise TrainingError("there is no student to try")
+    starts = [draw_start(context.domain, context.gaussians, s, failed_only=True) for s in seeds]
+    return try_student(starts, context.rig, context.student, RecoverySettings(), seeds[0])
+
+
+def distil(
+    domain: Domain,
+    folder: RunFolder,
+    plan: DistilPlan,
+    record: Record,
+    gaussians: Mapping[str, PairGaussian],
+    seed: int,
+    workers: int,
+    device: str,
+    progress: Progress,
+) -> dict[str, bytes]:
+    """Teach, train, try, and keep the best. Returns the files of the policy that a library takes in.
+
+    Resumes from what it left in the run folder: finished shards, the training's own checkpoint, finished trials.
+    """
+    saved = folder.stages / "distil.json"
+    points: list[dict[str, Any]] = read_json(saved) or []
+    shares = _Shares(plan, progress)
+    shards: list[Path] = []
+    for turn in range(plan.rounds + 1):
+        student = None if turn == 0 else _candidate(folder, shares.until[turn - 1])
+        context = partial(_make_context, domain.name, record, gaussians, student)
+        shards += _demonstrations(folder, plan, turn, seed, context, workers, shares)
+        until = shares.until[turn]
+        if not (_candidate(folder, until) / "resync.json").exists():
+            _train(folder, plan, shards, until, seed, device, shares)
+        if not any(p["step"] == until for p in points):
+            trials = _trials(domain, record, gaussians, _candidate(folder, until), plan, seed, workers)
+            points.append({"step": until, "worlds": len(trials), "success": sum(t.success for t in trials)})
+            write_json(saved, points)
+        shares.tried(points[-1])
+    best = max(points, key=lambda p: (p["success"] / max(1, p["worlds"]), p["step"]))
+    folder.record("distil", {"points": points, "chosen": best["step"]})
+    return {p.name: p.read_bytes() for p in sorted(_candidate(folder, best["step"]).iterdir())}
+
+
+class _Shares:
+    """Turns what is done into the share of the whole, and remembers the last success to show."""
+
+    def __init__(self, plan: DistilPlan, progress: Progress) -> None:
+        turns = range(plan.rounds + 1)
+        self.until = [plan.steps + turn * plan.round_steps for turn in turns]
+        self._progress, self._last = progress, ""
+        self._whole = self.until[-1]
+
+    def shown(self, step: int, words: str) -> None:
+        self._progress(min(0.99, step / self._whole), words + self._last)
+
+    def tried(self, point: Mapping[str, Any]) -> None:
+        self._last = f"; {point['success']} of {point['worlds']} recovered at step {point['step']}"
+        self.shown(point["step"], f"step {point['step']}")
+
+
+def _candidate(folder: RunFolder, step: int) -> Path:
+    return folder.stages / f"student-{step:06d}"
+
+
+def _demonstrations(
+    folder: RunFolder,
+    plan: DistilPlan,
+    turn: int,
+    seed: int,
+    context: Callable[[], _Context],
+    workers: int,
+    shares: _Shares,
+) -> list[Path]:
+    """The shards of one turn, written where they are missing."""
+    worlds = plan.worlds if turn == 0 else plan.round_worlds
+    first = seed * TRAINING_SEEDS + DEMONSTRATIONS + turn * 20_000
+    count = max(1, worlds // SHARD)
+    shards = [
+        _Shard(folder.stages / "demonstrations" / f"turn-{turn}-{i:04d}", first + i * SHARD, plan.looks)
+        for i in range(count)
+    ]
+    todo = [s for s in shards if not s.folder.exists()]
+    recovered = 0
+    for i, found in enumerate(parallel_map(_demonstrate, todo, context, workers)):
+        recovered += found
+        step = shares.until[turn - 1] if turn else 0
+        shares.shown(step, f"turn {turn}: {recovered} of {(i + 1) * SHARD} worlds demonstrated")
+    return [s.folder for s in shards]
+
+
+def _train(
+    folder: RunFolder, plan: DistilPlan, shards: list[Path], until: int, seed: int, device: str, shares: _Shares
+) -> None:
+    """Train up to step `until` on all shards so far, and save the averaged student."""
+    import torch
+
+    from policies.diffusion import DiffusionSettings, DiffusionStudent
+    from policies.training import DistilSettings, Trainer, statistics_of
+
+    frames = dataset.read_shards(shards)
+    checkpoint = folder.stages / "distil.safetensors"
+    torch.manual_seed(seed)
+    first = dataset.read_shards([s for s in shards if s.name.startswith("turn-0")])
+    # The statistics of the first turn stay: weights learned with them would not survive others.
+    student: DiffusionStudent = DiffusionStudent.create(DiffusionSettings(), statistics_of(first), device)
+    trainer = Trainer(student, DistilSettings(batch=plan.batch), shares.until[-1], seed)
+    trainer.use(frames)
+    if checkpoint.exists():
+        trainer.load(checkpoint)
+
+    def report(step: int, losses: Mapping[str, float]) -> None:
+        shares.shown(step, f"step {step}, {len(frames)} frames, loss {losses['action']:.4f}")
+        with (folder.stages / "distil.csv").open("a") as log:
+            log.write(",".join([str(step), *(f"{v:.6f}" for v in losses.values())]) + "\n")
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(THREADS)
+    while trainer.step < until:
+        trainer.run(min(until, trainer.step + CHECKPOINT_EVERY), report)
+        trainer.save(checkpoint)
+    torch.set_num_threads(threads)
+    with trainer.averaged():
+        beside = _candidate(folder, until).with_suffix(".part")
+        student.save(beside, load_rig())
+        beside.replace(_candidate(folder, until))
+
+
+THREADS = 2
+"""Of the training process. Fixed, for sums depend on it, and the same seed shall give the same policy."""
+
+
+def _trials(
+    domain: Domain,
+    record: Record,
+    gaussians: Mapping[str, PairGaussian],
+    student: Path,
+    plan: DistilPlan,
+    seed: int,
+    workers: int,
+) -> list[Trial]:
+    first = seed * TRAINING_SEEDS + TRIALS
+    jobs = [tuple(range(first + i, first + min(i + SHARD, plan.trials))) for i in range(0, plan.trials, SHARD)]
+    context = partial(_make_context, domain.name, record, gaussians, student)
+    return [t for found in parallel_map(_try, jobs, context, workers) for t in found if t is not None]
