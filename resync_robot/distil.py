@@ -20,6 +20,7 @@ from resync_robot.core.task import Domain
 from resync_robot.learning.camera_view import CameraPolicy
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import ActorCritic
+from resync_robot.plots import draw_distillation
 from resync_robot.run_folder import RunFolder, git_hash, read_json, write_json
 from resync_robot.stages import TRAINING_SEEDS, Progress
 from sim_training.demos import dataset
@@ -148,7 +149,19 @@ def distil(
         shares.tried(points[-1])
     best = max(points, key=lambda p: (p["success"] / max(1, p["worlds"]), p["step"]))
     folder.record("distil", {"points": points, "chosen": best["step"]})
+    _show(folder, shards, points, best["step"])
     return {p.name: p.read_bytes() for p in sorted(_candidate(folder, best["step"]).iterdir())}
+
+
+def _show(folder: RunFolder, shards: list[Path], points: list[dict[str, Any]], chosen: int) -> None:
+    """What a person wants to see of it: the dataset as one, what the cameras saw, the curves."""
+    import cv2
+
+    dataset.merge_shards(shards, folder.path / "dataset")
+    sheet = dataset.contact_sheet(dataset.read_shards(shards[:: max(1, len(shards) // 6)]))
+    cv2.imwrite(str(folder.path / "demonstrations.png"), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
+    rows = [line.split(",") for line in (folder.stages / "distil.csv").read_text().splitlines()]
+    draw_distillation([(float(r[0]), float(r[1])) for r in rows], points, chosen, folder.path / "distil.png")
 
 
 class _Shares:

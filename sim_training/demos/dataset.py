@@ -46,8 +46,11 @@ def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Map
         task: what LeRobot's datasets call the instruction.
         stamp: how it came about: seeds, rig hash, commit.
     """
+    import av.logging
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
+    # The encoder writes dozens of lines for every video, and LeRobot gives it the terminal to write to.
+    av.logging.set_libav_level(av.logging.ERROR)
     beside = folder.with_name(folder.name + ".part")
     shutil.rmtree(beside, ignore_errors=True)
     beside.parent.mkdir(parents=True, exist_ok=True)
@@ -87,6 +90,38 @@ def _add(dataset: Any, segment: Segment, task: str) -> None:
             }
         )
     dataset.save_episode()
+
+
+def merge_shards(shards: Sequence[Path], folder: Path) -> None:
+    """One LeRobot dataset of all shards, for whoever wants to train or look elsewhere; whole, or not there at all."""
+    import av.logging
+    from lerobot.datasets.aggregate import aggregate_datasets
+
+    av.logging.set_libav_level(av.logging.ERROR)
+    parts = [s for s in shards if (s / "meta" / "info.json").exists()]
+    beside = folder.with_name(folder.name + ".part")
+    shutil.rmtree(beside, ignore_errors=True)
+    aggregate_datasets(["local/recoveries"] * len(parts), "local/recoveries", roots=parts, aggr_root=beside)
+    stamps = [json.loads((s / STAMP).read_text()) for s in shards]
+    (beside / STAMP).write_text(json.dumps({"version": VERSION, "shards": stamps}, indent=2, sort_keys=True) + "\n")
+    shutil.rmtree(folder, ignore_errors=True)
+    beside.replace(folder)
+
+
+def contact_sheet(frames: Demonstrations, rows: int = 12, columns: int = 5) -> UInt8[np.ndarray, "h w 3"]:
+    """What the cameras saw: segments drawn evenly, a row each, from left to right in time; RGB."""
+    # Still moments and stubs show little.
+    chosen = [
+        s
+        for s in np.unique(frames.segment)
+        if (frames.segment == s).sum() >= columns and frames.acts[frames.segment == s].all()
+    ]
+    sheet = []
+    for segment in chosen[:: max(1, len(chosen) // rows)][:rows]:
+        of = np.flatnonzero(frames.segment == segment)
+        some = of[np.linspace(0, len(of) - 1, columns).astype(int)]
+        sheet.append(np.hstack([np.hstack(list(frames.pictures[i])) for i in some]))
+    return np.vstack(sheet) if sheet else np.zeros((PICTURE, PICTURE, 3), dtype=np.uint8)
 
 
 def read_shards(folders: Sequence[Path]) -> Demonstrations:

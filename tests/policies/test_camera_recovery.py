@@ -1,0 +1,158 @@
+"""The recovery by camera around its policy: what it asks, when it stops, and what a broken camera comes to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from policies.camera_recovery import MonitorSettings, camera_recovery_skill
+from policies.grasp import travel_height
+from policies.neural import RecoverySkillSettings
+from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.world import Cutout, Observation, Window
+from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS, Prediction
+from resync_robot.learning.recovery_policy import LOWEST_TIP
+from resync_robot.planning.execute import run_skill
+from tests import scenes
+from tests.policies.followers import RIG, Follower
+from tests.scenes import B0, THE_BOX, R
+
+SCENE = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).initial
+SETTINGS = RecoverySkillSettings(max_decisions=60)
+
+
+@dataclass
+class Seeing(Follower):
+    """A follower with cameras that show noise, unless told otherwise."""
+
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    black: str = ""
+    frozen: str = ""
+    late: float = 0.0
+    realtime: bool = False
+
+    def observe(self, live: bool = False) -> Observation:
+        return replace(super().observe(live), look=self.look, realtime=self.realtime)
+
+    def look(self, name: str, window: Window, size: int) -> Cutout:
+        colour = self.rng.integers(60, 200, (size, size, 3)).astype(np.uint8)
+        if name == self.black:
+            colour = self.rng.integers(0, 3, (size, size, 3)).astype(np.uint8)
+        if name == self.frozen:
+            colour = np.full((size, size, 3), 90, dtype=np.uint8)
+        return Cutout(name, colour, self.time - self.late)
+
+
+@dataclass
+class Scripted:
+    """A policy that wants `step` always, and says that it is done from its `done_at`-th answer on."""
+
+    step: tuple[float, float, float] = (0.01, 0.0, 0.0)
+    done_at: int = 10_000
+    away: float = 0.0
+    views: tuple[int, ...] = (0, 1, 2)
+    seconds: float = 0.0
+    asked: int = 0
+
+    def __call__(self, pictures: np.ndarray, state: np.ndarray) -> Prediction:
+        assert pictures.shape == (1, len(VIEWS), PICTURE, PICTURE, 3) and state.shape == (1, len(STATE_NAMES))
+        time.sleep(self.seconds)
+        self.asked += 1
+        return Prediction(
+            np.tile(np.array(self.step), (1, 8, 1)),
+            np.array([float(self.asked >= self.done_at)]),
+            np.array([[self.away, 0.0, -0.06, 0.0, 0.0]]),
+            np.eye(len(VIEWS))[None, list(self.views)],
+        )
+
+
+def run(policy: Callable[..., Prediction], **world: object) -> tuple[Outcome, Seeing]:
+    seeing = Seeing(SCENE, **world)  # type: ignore[arg-type]
+    skill = camera_recovery_skill("Recover", policy, RIG, SETTINGS)
+    assert not skill.live_state, "it would see the simulator's state"
+    return run_skill(seeing, skill.ground((R, B0, THE_BOX))), seeing
+
+
+def test_it_ends_when_the_policy_has_said_so_twice_and_gets_out_of_the_way() -> None:
+    policy = Scripted(done_at=3)
+    outcome, world = run(policy)
+    assert outcome == Outcome(Ending.DONE)
+    assert policy.asked == 4
+    assert world.tips[-1][2] >= travel_height(SCENE, None) - 1e-3
+
+
+def test_a_policy_that_is_never_done_ends_with_a_time_out() -> None:
+    moving = iter(np.tile([[0.01, 0, 0], [-0.01, 0, 0]], (100, 1)))
+
+    class Restless(Scripted):
+        def __call__(self, pictures: np.ndarray, state: np.ndarray) -> Prediction:
+            return replace(super().__call__(pictures, state), steps=np.tile(next(moving), (1, 8, 1)))
+
+    outcome, _ = run(Restless())
+    assert outcome.ending is Ending.TIMEOUT
+
+
+def test_the_hand_stays_in_the_box_whatever_the_policy_wants() -> None:
+    _, world = run(Scripted(step=(0.0, 0.0, -0.03)))
+    assert min(tip[2] for tip in world.tips) >= scenes.FLOOR + LOWEST_TIP - 2e-3
+    _, world = run(Scripted(step=(0.03, 0.0, 0.0)))
+    inside = [tip for tip in world.tips if tip[2] < 0.125]
+    assert max(tip[0] for tip in inside) < scenes.BOX_X + scenes.INNER / 2
+
+
+@pytest.mark.parametrize(
+    ("policy", "world", "words"),
+    [
+        (Scripted(), {"black": "side"}, "camera 'side' is black"),
+        (Scripted(), {"frozen": "front"}, "camera 'front' has given the same picture"),
+        (Scripted(), {"late": 0.4}, "0.40 s old"),
+        (Scripted(views=(1, 0, 2)), {}, "camera 'front' look like those of 'side'"),
+        (Scripted(away=0.2), {}, "not beneath the hand any more"),
+        (Scripted(step=(0.0, 0.0, 0.0)), {}, "has not moved"),
+        (Scripted(step=(0.0, 0.09, 0.0)), {}, "wants a step of 90 mm"),
+        (Scripted(step=(0.0, np.nan, 0.0)), {}, "numbers that are none"),
+    ],
+)
+def test_what_cannot_be_right_ends_the_skill_with_a_reason(
+    policy: Scripted, world: dict[str, object], words: str
+) -> None:
+    outcome, seeing = run(policy, **world)
+    assert outcome.ending is Ending.BLOCKED and words in outcome.reason
+    assert seeing.tips[-1][2] >= travel_height(SCENE, None) - 1e-3, "the hand was left in the box"
+
+
+def test_pictures_that_are_a_tenth_of_a_second_late_are_as_in_training() -> None:
+    outcome, _ = run(Scripted(done_at=3), late=0.1)
+    assert outcome.done
+
+
+def test_a_world_without_cameras_is_said_to_be_one() -> None:
+    skill = camera_recovery_skill("Recover", Scripted(), RIG, SETTINGS)
+    outcome = run_skill(Follower(SCENE), skill.ground((R, B0, THE_BOX)))
+    assert outcome.ending is Ending.BLOCKED and "no camera" in outcome.reason
+
+
+def test_something_between_the_pads_refuses_it() -> None:
+    outcome, _ = run(Scripted(), between=0.05)
+    assert outcome.ending is Ending.REFUSED
+
+
+def test_a_slow_policy_is_bridged_in_real_time_and_waited_for_in_simulation() -> None:
+    # The follower's clock runs far faster than the policy thinks: every chunk but what must be is late.
+    quick, slow = Scripted(done_at=5), Scripted(done_at=5, seconds=0.02)
+    one, waited = run(quick)
+    two, again = run(slow)
+    assert one == two and len(waited.tips) == len(again.tips)
+    outcome, bridged = run(Scripted(done_at=5, seconds=0.02), realtime=True)
+    assert outcome.done and len(bridged.tips) > len(waited.tips)
+
+
+def test_the_monitor_s_limits_can_be_set() -> None:
+    strict = MonitorSettings(largest_step=0.005)
+    skill = camera_recovery_skill("Recover", Scripted(), RIG, SETTINGS, strict)
+    outcome = run_skill(Seeing(SCENE), skill.ground((R, B0, THE_BOX)))
+    assert "wants a step of 10 mm" in outcome.reason
