@@ -1,0 +1,248 @@
+"""Demonstrations: rendered recoveries, segments that hold what was executed, a dataset that comes back as it went."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from perception.cutout import cut_out
+from resync_robot.core.errors import TrainingError
+from resync_robot.core.rig import load_rig
+from resync_robot.learning.camera_view import EXECUTE, PICTURE, VIEWS, Prediction, to_hand, window_at
+from resync_robot.learning.failures import PairGaussian
+from resync_robot.learning.recovery_policy import wall_gaps
+from sim_training.demos import dataset
+from sim_training.demos.recoveries import RenderedRecovery
+from sim_training.demos.rollouts import RolloutSettings, Segment, demonstrate, try_student
+from sim_training.demos.starts import Start, draw_start
+from sim_training.domains import find_domain
+from sim_training.recovery import RecoverySettings
+from sim_training.world import SimWorld
+from tests import scenes
+
+RIG = load_rig()
+DOMAIN = find_domain("cornered-insertion-s")
+CORNERED = Start(scenes.scene({"b0": (scenes.CORNER, scenes.CORNER)}), scenes.B0)
+FREE = Start(scenes.scene({"b0": (0.0, 0.0)}), scenes.B0)
+
+
+def gaussians() -> dict[str, PairGaussian]:
+    rng = np.random.default_rng(0)
+    deep = [np.array([0.001, 0.002, 0.0, 1.0]) + rng.normal(0, 0.0003, 4) for _ in range(20)]
+    clear = [np.array([0.05, 0.06, 0.0, 1.0]) + rng.normal(0, 0.003, 4) for _ in range(20)]
+    return {"before": PairGaussian.fit(deep), "after": PairGaussian.fit(clear)}
+
+
+def still(seen: torch.Tensor) -> torch.Tensor:
+    return torch.zeros(len(seen), 3)
+
+
+def upwards(seen: torch.Tensor) -> torch.Tensor:
+    return torch.tensor([[0.0, 0.0, 1.0]]).expand(len(seen), 3)
+
+
+@pytest.fixture(scope="module")
+def recovery() -> RenderedRecovery:
+    return RenderedRecovery(CORNERED, RIG, 0.9, seed=0, still=True)
+
+
+def test_starts_are_failures_middles_and_ends_and_the_same_for_the_same_seed() -> None:
+    starts = [draw_start(DOMAIN, gaussians(), seed) for seed in range(60)]
+    gaps = []
+    for start in starts:
+        block, box = start.task.initial[start.block], start.task.initial[scenes.THE_BOX]
+        row = torch.as_tensor(np.concatenate([np.zeros(6), block, box]), dtype=torch.float32)[None]
+        gaps.append(float(wall_gaps(row).min()))
+    assert sum(g < 0.004 for g in gaps) > 25 and sum(0.004 < g < 0.04 for g in gaps) > 5
+    assert sum(g > 0.04 for g in gaps) >= 2
+    assert {s.block.name for s in starts} >= {"b0", "b1", "b2"}
+    again = draw_start(DOMAIN, gaussians(), 7)
+    assert again.task.initial == starts[7].task.initial and again.block == starts[7].block
+    assert all(
+        float(wall_gaps(_row(s)).min()) < 0.01
+        for s in (draw_start(DOMAIN, gaussians(), n, failed_only=True) for n in range(10))
+    )
+
+
+def _row(start: Start) -> torch.Tensor:
+    values = np.concatenate([np.zeros(6), start.task.initial[start.block], start.task.initial[scenes.THE_BOX]])
+    return torch.as_tensor(values, dtype=torch.float32)[None]
+
+
+def test_a_window_shows_what_the_whole_picture_shows_there() -> None:
+    world = SimWorld(CORNERED.task, RIG, rendered=True)
+    tip = RIG.tip_pose(RIG.arm.home)[:3, 3]
+    for view in VIEWS:
+        camera = RIG.camera(view)
+        window = window_at(camera, RIG.camera_pose(camera, RIG.arm.home), tip)
+        whole = cut_out(world.render(view), camera, window, PICTURE).colour.astype(float)
+        part = world.render_window(view, window, PICTURE, np.eye(4)).colour.astype(float)
+        # Scaling softens edges; elsewhere they agree.
+        assert np.median(np.abs(whole - part)) <= 2.0 and np.abs(whole - part).mean() < 8.0, view
+
+
+def test_the_scene_knows_where_the_block_is(recovery: RenderedRecovery) -> None:
+    assert recovery.stands
+    block = recovery.block()
+    np.testing.assert_allclose(block[:2], 0, atol=0.007)
+    assert -0.10 < block[2] < -0.05
+    np.testing.assert_allclose(block[3:], 0.001, atol=2e-4)
+    assert recovery.see().pictures.shape == (len(VIEWS), PICTURE, PICTURE, 3)
+
+
+def test_an_arm_without_lag_goes_where_it_is_sent_and_a_late_one_stays_behind() -> None:
+    behind = []
+    for lag in (0.0, 0.9):
+        scene = RenderedRecovery(FREE, RIG, 0.0, seed=1, still=True)
+        scene.lag = torch.tensor([lag])
+        goal = scene.sent + [0.0, 0.0, 0.02]
+        scene.step(goal)
+        behind.append(float(goal[2] - scene.see().tip[2]))
+    assert behind[0] < 0.010 < behind[1]
+
+
+def test_pictures_of_half_of_all_scenes_are_one_step_old() -> None:
+    delayed = 0
+    for seed in range(12):
+        scene = RenderedRecovery(FREE, RIG, 0.0, seed=seed)
+        first = scene.see().pictures
+        scene.step(scene.sent + [0.0, 0.0, 0.02])
+        delayed += bool((scene.see().pictures == first).all())
+    assert 2 <= delayed <= 10
+
+
+def test_a_segment_s_actions_are_the_steps_that_were_carried_out() -> None:
+    settings = RolloutSettings(burst_probability=0.3, hold=3)
+    found = demonstrate([FREE, FREE], RIG, upwards, RecoverySettings(), seed=3, settings=settings)
+    segments = [s for of in found for s in of if s.acts.all()]
+    assert segments
+    for segment in segments:
+        tips, leads = segment.state[:, 6:9].astype(float), segment.state[:, 9:12].astype(float)
+        # The box stands square in this scene, so the hand's axes are the world's.
+        sent = tips + leads
+        np.testing.assert_allclose(np.diff(sent, axis=0), segment.action[:-1], atol=1e-6)
+    last = [of[-2] for of in found if of]
+    assert all(s.ends and s.recovered[-1] and not s.action[-1].any() for s in last)
+
+
+def test_a_burst_is_not_recorded_and_splits_the_episode() -> None:
+    calm = demonstrate([FREE], RIG, still, RecoverySettings(), 5, settings=RolloutSettings(burst_probability=0.0))
+    assert [s.ends for s in calm[0]] == [True, False], "one recovery, and the still moments"
+    assert not calm[0][-1].acts.any()
+
+
+def test_a_failed_episode_leaves_nothing() -> None:
+    settings = RolloutSettings(horizon=5, burst_probability=0.0)
+    assert demonstrate([CORNERED], RIG, still, RecoverySettings(), 5, settings=settings) == [[]]
+
+
+class Rising:
+    """A student that lifts the hand and says that it is done, rightly or not."""
+
+    def __call__(self, pictures: np.ndarray, state: np.ndarray) -> Prediction:
+        n = len(state)
+        assert pictures.shape == (n, len(VIEWS), PICTURE, PICTURE, 3)
+        steps = np.tile([0.0, 0.0, 0.01], (n, 8, 1))
+        return Prediction(steps, np.ones(n), np.zeros((n, 5)), np.tile(np.eye(3), (n, 1, 1)))
+
+
+def test_a_student_is_judged_by_the_truth_not_by_its_word() -> None:
+    trials = try_student([CORNERED, FREE], RIG, Rising(), RecoverySettings(), 0)
+    assert [t is not None and t.stopped for t in trials] == [True, True]
+    assert [t is not None and t.success for t in trials] == [False, True]
+    assert trials[0] is not None and trials[0].steps == EXECUTE
+
+
+def test_after_a_student_the_teacher_goes_on_and_only_it_is_recorded() -> None:
+    found = demonstrate([FREE], RIG, upwards, RecoverySettings(), 11, student=Rising())
+    (segment, *_) = found[0]
+    assert segment.state[0, 8] > 0.14, "the student had lifted the hand before"
+
+
+def segment(n: int = 5, ends: bool = True) -> Segment:
+    rng = np.random.default_rng(n)
+    pictures = np.kron(rng.integers(0, 255, (n, 3, 8, 8, 3)), np.ones((1, 1, 8, 8, 1))).astype(np.uint8)
+    rows = [rng.normal(size=(n, k)).astype(np.float32) for k in (12, 3, 5)]
+    return Segment(pictures, rows[0], rows[1], rng.random(n) > 0.5, rows[2], np.ones(n, dtype=bool), ends)
+
+
+@pytest.fixture(scope="module")
+def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demos") / "shard"
+    dataset.write_shard(folder, [segment(5), segment(7, ends=False)], "Recover", {"first_seed": 3})
+    return folder
+
+
+def test_a_shard_comes_back_as_it_went(shard: Path) -> None:
+    found = dataset.read_shards([shard])
+    written = [segment(5), segment(7, ends=False)]
+    assert len(found) == 12 and found.segment.tolist() == [0] * 5 + [1] * 7
+    assert found.ends.tolist() == [True] * 5 + [False] * 7
+    for name in ("state", "action", "recovered", "block", "acts"):
+        np.testing.assert_array_equal(getattr(found, name), np.concatenate([getattr(s, name) for s in written]))
+    pictures = np.concatenate([s.pictures for s in written]).astype(int)
+    assert np.abs(found.pictures - pictures).mean() < 12, "video loses little"
+    twice = dataset.read_shards([shard, shard])
+    assert np.unique(twice.segment).tolist() == [0, 1, 2, 3]
+
+
+def test_a_shard_opens_in_stock_lerobot_and_shards_merge_into_one(shard: Path, tmp_path: Path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    one = LeRobotDataset("local/recoveries", root=shard, video_backend="pyav")
+    assert len(one) == 12 and one.num_episodes == 2
+    frame = one[6]
+    assert frame["observation.images.front"].shape == (3, PICTURE, PICTURE)
+    np.testing.assert_allclose(frame["action"].numpy(), segment(7).action[1], rtol=1e-6)
+    dataset.merge_shards([shard, shard], tmp_path / "whole")
+    whole = LeRobotDataset("local/recoveries", root=tmp_path / "whole", video_backend="pyav")
+    assert len(whole) == 24 and whole.num_episodes == 4
+
+
+@pytest.mark.parametrize("damage", ["version", "stamp", "video"])
+def test_a_broken_shard_is_named(shard: Path, tmp_path: Path, damage: str) -> None:
+    import shutil
+
+    folder = tmp_path / "broken"
+    shutil.copytree(shard, folder)
+    if damage == "version":
+        (folder / dataset.STAMP).write_text('{"version": 0}')
+    elif damage == "stamp":
+        (folder / dataset.STAMP).unlink()
+    else:
+        next((folder / "videos").rglob("*.mp4")).unlink()
+    with pytest.raises(TrainingError, match="broken"):
+        dataset.read_shards([folder])
+
+
+def test_no_success_at_all_is_an_error_that_says_so(tmp_path: Path) -> None:
+    dataset.write_shard(tmp_path / "empty", [], "Recover", {})
+    with pytest.raises(TrainingError, match="none of its worlds"):
+        dataset.read_shards([tmp_path / "empty"])
+
+
+def test_a_contact_sheet_shows_a_row_for_each_segment(shard: Path) -> None:
+    sheet = dataset.contact_sheet(dataset.read_shards([shard]), rows=2, columns=4)
+    assert sheet.shape == (2 * PICTURE, 4 * 3 * PICTURE, 3)
+
+
+def test_hand_axes_of_a_turned_box_are_the_box_s() -> None:
+    task = scenes.scene({"b0": (0.0, 0.0)}, box_yaw=0.15)
+    scene = RenderedRecovery(Start(task, scenes.B0), RIG, 0.0, seed=0, still=True)
+    assert scene.yaw == pytest.approx(0.15, abs=0.01)
+    along = np.array([np.cos(0.15), np.sin(0.15), 0.0])
+    np.testing.assert_allclose(to_hand(along, scene.yaw), [1, 0, 0], atol=0.01)
+
+
+def test_unseen_looks_do_not_change_the_rest_of_a_start() -> None:
+    from sim_training.randomise import UNSEEN
+
+    usual = draw_start(DOMAIN, gaussians(), 5)
+    unseen = draw_start(DOMAIN, gaussians(), 5, UNSEEN)
+    assert usual.task.initial == unseen.task.initial
+    assert usual.task.physics["surfaces"] != unseen.task.physics["surfaces"]
+    assert replace(usual, task=unseen.task) == unseen
