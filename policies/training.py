@@ -114,7 +114,7 @@ class Trainer:
         # A fast average at first: the random weights of the beginning are not worth keeping.
         keep = min(self.settings.average, (1 + self.step) / (10 + self.step))
         torch._foreach_lerp_(self._average, [p.detach() for p in self._parameters], 1 - keep)
-        return {k: float(v) for k, v in losses.items()}
+        return {k: float(v.detach()) for k, v in losses.items()}
 
     def _rate(self) -> float:
         warm = min(1.0, (self.step + 1) / self.settings.warm_up)

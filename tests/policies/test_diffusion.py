@@ -1,0 +1,227 @@
+"""The camera policy on disk and in training: as stock LeRobot reads it, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from policies import trunk
+from policies.diffusion import IMAGES, DiffusionSettings, DiffusionStudent, load_student
+from policies.training import DistilSettings, Trainer, chunks_of, statistics_of
+from resync_robot.core.errors import PolicyError, TrainingError
+from resync_robot.core.rig import CameraRig, load_rig
+from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS
+from resync_robot.learning.demonstrations import Demonstrations
+
+RIG = load_rig()
+SMALL = DiffusionSettings(keypoints=8, down_dims=(16, 32), inference_steps=2)
+
+
+def demonstrations(n: int = 40, seed: int = 0) -> Demonstrations:
+    """Four segments whose action can be read off the state."""
+    rng = np.random.default_rng(seed)
+    state = rng.normal(size=(n, len(STATE_NAMES))).astype(np.float32)
+    return Demonstrations(
+        pictures=rng.integers(0, 255, (n, len(VIEWS), PICTURE, PICTURE, 3)).astype(np.uint8),
+        state=state,
+        action=(0.02 * np.tanh(state[:, :3])).astype(np.float32),
+        recovered=state[:, 3] > 0,
+        block=state[:, 4:9] / 20,
+        acts=np.ones(n, dtype=bool),
+        segment=np.arange(n) // (n // 4),
+        ends=np.arange(n) // (n // 4) % 2 == 0,
+    )
+
+
+@pytest.fixture(scope="module")
+def student() -> DiffusionStudent:
+    torch.manual_seed(0)
+    return DiffusionStudent.create(SMALL, statistics_of(demonstrations()), "cpu").eval()
+
+
+@pytest.fixture(scope="module")
+def saved(student: DiffusionStudent, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("policy") / "Recover"
+    student.save(folder, RIG)
+    return folder
+
+
+def seen(n: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    d = demonstrations()
+    return d.pictures[:n], d.state[:n]
+
+
+def test_a_saved_policy_gives_the_same_answers(student: DiffusionStudent, saved: Path) -> None:
+    before, after = student(*seen()), load_student(saved, RIG)(*seen())
+    for name in ("steps", "done", "block", "views"):
+        np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=1e-6, err_msg=name)
+    assert before.steps.shape == (2, SMALL.horizon, 3)
+    np.testing.assert_allclose(before.views.sum(-1), 1, atol=1e-5)
+
+
+def test_stock_lerobot_loads_it_and_acts_alike(student: DiffusionStudent, saved: Path) -> None:
+    from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
+    from lerobot.policies.factory import make_pre_post_processors
+
+    policy = DiffusionPolicy.from_pretrained(saved)
+    pre, post = make_pre_post_processors(policy.config, pretrained_path=str(saved))
+    pictures, state = seen(1)
+    frame = {key: torch.from_numpy(pictures[0, i]).permute(2, 0, 1).float() / 255 for i, key in enumerate(IMAGES)}
+    frame["observation.state"] = torch.from_numpy(state[0])
+    noise = torch.zeros(1, SMALL.horizon, 3)
+    policy.reset()
+    batch = pre(frame)
+    stock = [post(policy.select_action(dict(batch), noise=noise)).numpy()[0] for _ in range(SMALL.horizon)]
+    np.testing.assert_allclose(stock, student(pictures, state).steps[0], atol=1e-6)
+
+
+def test_the_trunk_is_known_to_torchvision_by_a_name_that_lerobot_takes() -> None:
+    import torchvision
+
+    made = getattr(torchvision.models, trunk.NAME)(weights=None)
+    assert trunk.NAME.startswith("resnet")
+    features = torch.nn.Sequential(*list(made.children())[:-2])(torch.zeros(1, 3, 64, 64))
+    assert features.shape == (1, 96, 8, 8)
+    assert made(torch.zeros(1, 3, 64, 64)).shape == (1, 1)
+
+
+def damage_version(folder: Path) -> None:
+    stamp = json.loads((folder / "resync.json").read_text())
+    (folder / "resync.json").write_text(json.dumps({**stamp, "version": 99}))
+
+
+def damage_weights(folder: Path) -> None:
+    path = folder / "model.safetensors"
+    path.write_bytes(path.read_bytes()[:1000])
+
+
+def damage_statistics(folder: Path) -> None:
+    for path in folder.glob("policy_preprocessor*.safetensors"):
+        path.unlink()
+    path = folder / "policy_preprocessor.json"
+    data = json.loads(path.read_text())
+    for step in data["steps"]:
+        step.pop("state_file", None)
+    path.write_text(json.dumps(data))
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (damage_version, "of version 99"),
+        (damage_weights, "cannot be read"),
+        (damage_statistics, "no normalisation statistics"),
+        (lambda folder: (folder / "heads.safetensors").unlink(), "cannot be read"),
+        (lambda folder: (folder / "resync.json").unlink(), "no camera policy"),
+        (lambda folder: (folder / "config.json").write_text("{"), "cannot be read"),
+        (lambda folder: (folder / "resync.json").write_text("[]"), "of version None"),
+    ],
+)
+def test_a_broken_policy_is_one_clear_error(
+    saved: Path, tmp_path: Path, damage: Callable[[Path], object], words: str
+) -> None:
+    folder = tmp_path / "Recover"
+    shutil.copytree(saved, folder)
+    damage(folder)
+    with pytest.raises(PolicyError, match=words) as caught:
+        load_student(folder, RIG)
+    assert "train" in caught.value.fix
+
+
+def moved(camera: CameraRig, metres: float) -> CameraRig:
+    pose = camera.pose.copy()
+    pose[0, 3] += metres
+    return replace(camera, pose=pose)
+
+
+def test_a_policy_of_another_rig_is_refused_and_one_that_was_calibrated_again_is_not(saved: Path) -> None:
+    again = replace(RIG, cameras=tuple(moved(c, 0.004) for c in RIG.cameras), hash="calibrated")
+    load_student(saved, again)
+    other = replace(RIG, cameras=tuple(moved(c, 0.2) if c.name == "side" else c for c in RIG.cameras))
+    with pytest.raises(PolicyError, match=r"another rig: there 'side'.*200 mm"):
+        load_student(saved, other)
+
+
+@pytest.mark.parametrize("missing", ["action", "observation.state", IMAGES[1]])
+def test_missing_statistics_are_never_taken_for_the_identity(missing: str) -> None:
+    statistics = statistics_of(demonstrations())
+    statistics.pop(missing)
+    with pytest.raises(PolicyError, match=missing):
+        DiffusionStudent.create(SMALL, statistics, "cpu")
+
+
+# -- training ---------------------------------------------------------------------------------------------------------
+
+
+def test_chunks_stay_in_their_segment_and_rest_after_its_end() -> None:
+    d = demonstrations(16)
+    chunks, valid = chunks_of(d, 6)
+    np.testing.assert_array_equal(chunks[1, :3], d.action[1:4])
+    # Segment 0 ends with the recovery: rest is known. Segment 1 is cut off: what follows is not.
+    assert valid[1].all() and not chunks[1, 3:].any()
+    assert valid[5].tolist() == [True, True, True, False, False, False]
+    assert valid[15].tolist() == [True] + [False] * 5
+
+
+def test_moments_without_motion_teach_no_motion() -> None:
+    d = replace(demonstrations(16), acts=np.arange(16) < 8, ends=np.ones(16, dtype=bool))
+    _, valid = chunks_of(d, 6)
+    assert valid[:8].all() and not valid[8:].any()
+
+
+def trainer(student: DiffusionStudent | None = None) -> Trainer:
+    torch.manual_seed(1)
+    made = student or DiffusionStudent.create(SMALL, statistics_of(demonstrations()), "cpu")
+    t = Trainer(made, DistilSettings(batch=8), steps=60, seed=4)
+    t.use(demonstrations())
+    return t
+
+
+def weights(t: Trainer) -> np.ndarray:
+    return np.concatenate([p.detach().numpy().ravel() for p in t.student.parameters()])
+
+
+def test_a_resumed_training_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
+    straight, halted, resumed = trainer(), trainer(), trainer()
+    straight.run(6, lambda *_: None)
+    halted.run(3, lambda *_: None)
+    halted.save(tmp_path / "distil.safetensors")
+    resumed.load(tmp_path / "distil.safetensors")
+    resumed.run(6, lambda *_: None)
+    np.testing.assert_allclose(weights(resumed), weights(straight), atol=1e-7)
+    with straight.averaged(), resumed.averaged():
+        np.testing.assert_allclose(weights(resumed), weights(straight), atol=1e-7)
+
+
+def test_the_average_is_put_in_and_taken_out_again() -> None:
+    t = trainer()
+    t.run(4, lambda *_: None)
+    raw = weights(t)
+    with t.averaged():
+        assert np.abs(weights(t) - raw).max() > 0
+    np.testing.assert_array_equal(weights(t), raw)
+
+
+def test_it_learns_what_can_be_read_off_the_observation() -> None:
+    t, losses = trainer(), []
+    t.run(60, lambda step, found: losses.append(found))
+    assert losses[-1]["action"] < 0.8 * losses[0]["action"]
+    assert losses[-1]["view"] <= losses[0]["view"]
+    assert set(losses[0]) == {"action", "done", "block", "view"}
+
+
+@pytest.mark.parametrize("damage", [lambda p: p.write_bytes(p.read_bytes()[:500]), lambda p: p.write_bytes(b"")])
+def test_a_broken_checkpoint_is_named(tmp_path: Path, damage: Callable[[Path], object]) -> None:
+    t = trainer()
+    path = tmp_path / "distil.safetensors"
+    t.save(path)
+    damage(path)
+    with pytest.raises(TrainingError, match=r"distil\.safetensors"):
+        t.load(path)
