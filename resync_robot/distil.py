@@ -24,7 +24,7 @@ from resync_robot.plots import draw_distillation
 from resync_robot.run_folder import RunFolder, git_hash, read_json, write_json
 from resync_robot.stages import TRAINING_SEEDS, Progress
 from sim_training.demos import dataset
-from sim_training.demos.rollouts import Teacher, Trial, demonstrate, try_student
+from sim_training.demos.rollouts import Teacher, Trial, demonstrate, look_around, try_student
 from sim_training.demos.starts import draw_start
 from sim_training.domains import find_domain
 from sim_training.parallel import parallel_map
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 SHARD = 16
 """Worlds of one shard; they are stepped together, so that the student thinks for all of them at once."""
+STILL, STILL_SEEDS = 48, 100_000
+"""Worlds of a shard that are only looked at, and how far their seeds lie from the others."""
 DEMONSTRATIONS, TRIALS = 700_000, 900_000
 """Where in a training seed's worlds those of the demonstrations and of the trials begin."""
 CHECKPOINT_EVERY = 250
@@ -104,8 +106,12 @@ def _demonstrate(context: _Context, shard: _Shard) -> int:
     seeds = range(shard.first_seed, shard.first_seed + SHARD)
     starts = [draw_start(context.domain, context.gaussians, s, shard.looks) for s in seeds]
     found = demonstrate(starts, context.rig, context.teacher, RecoverySettings(), shard.first_seed, context.student)
+    more = range(shard.first_seed + STILL_SEEDS, shard.first_seed + STILL_SEEDS + STILL)
+    still = [draw_start(context.domain, context.gaussians, s, shard.looks) for s in more]
+    around = look_around(still, context.rig, RecoverySettings(), more.start)
+    segments = [s for of in found for s in of] + ([around] if around else [])
     stamp = {"first_seed": shard.first_seed, "rig_hash": context.rig.hash, "git": git_hash()}
-    dataset.write_shard(shard.folder, [s for segments in found for s in segments], context.domain.recovery, stamp)
+    dataset.write_shard(shard.folder, segments, context.domain.recovery, stamp)
     return sum(1 for segments in found if segments)
 
 

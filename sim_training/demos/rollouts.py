@@ -7,7 +7,7 @@ carried out. So variety comes from bursts that are not recorded, and each of the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -40,8 +40,6 @@ class RolloutSettings:
     burst_size: float = 0.02
     """Most motion a step in a burst, along each axis."""
     least_frames: int = 3
-    still: int = 6
-    """Moments without motion for each world."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +73,12 @@ class _Frames:
     sent: list[np.ndarray] = field(default_factory=list)
     recovered: list[bool] = field(default_factory=list)
     block: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, scene: RenderedRecovery, sent: np.ndarray, recovered: bool) -> None:
+        self.seen.append(scene.see())
+        self.sent.append(np.array(sent))
+        self.recovered.append(recovered)
+        self.block.append(scene.block())
 
     def finish(self, yaw: float, ends: bool) -> Segment:
         sent = np.stack(self.sent)
@@ -135,10 +139,7 @@ class _Run:
             self.goal = scene.sent
         else:
             self.goal = recovery_policy.commanded_tip(scene.x, action[None])[0].double().numpy()
-        self.frames.seen.append(scene.see())
-        self.frames.sent.append(np.array(self.goal))
-        self.frames.recovered.append(recovered)
-        self.frames.block.append(scene.block())
+        self.frames.add(scene, self.goal, recovered)
         self.taught += 1
         if self.held > s.hold:
             self.success, self.over = recovered, True
@@ -185,22 +186,38 @@ def demonstrate(
             if not r.over:
                 r.scene.step(r.goal)
             r.student_left -= 1
+    return [r.segments if r.success else [] for r in runs]
+
+
+def look_around(
+    starts: Sequence[Start], rig: Rig, recovery: RecoverySettings, seed: int, each: int = 3
+) -> Segment | None:
+    """Moments without motion, for what tells a recovery that is done from one that is not: `each` of every start.
+
+    They cost a tenth of a recovery, and every start is another world to see. None where all scenes fell over.
+    """
     random = torch.Generator().manual_seed(seed)
-    return [[*r.segments, _still(r.scene, recovery, s.still, random)] if r.success else [] for r in runs]
-
-
-def _still(scene: RenderedRecovery, recovery: RecoverySettings, count: int, random: torch.Generator) -> Segment:
-    """Moments without motion, for what tells a recovery that is done from one that is not."""
     frames = _Frames()
-    for _ in range(count):
-        scene.freeze(random)
-        frames.seen.append(scene.see())
-        frames.sent.append(np.array(scene.sent))
-        frames.recovered.append(bool(is_recovered(scene.x, scene.x, recovery)))
-        frames.block.append(scene.block())
-    found = frames.finish(scene.yaw, ends=True)
-    nothing = np.zeros(count, dtype=bool)
-    return replace(found, action=np.zeros_like(found.action), acts=nothing, ends=False)
+    states = []
+    for i, start in enumerate(starts):
+        scene = RenderedRecovery(start, rig, recovery.lag, seed + i)
+        for _ in range(each if scene.stands else 0):
+            scene.freeze(random)
+            frames.add(scene, scene.sent, bool(is_recovered(scene.x, scene.x, recovery)))
+            seen = frames.seen[-1]
+            states.append(proprioception(seen.q, seen.tip, scene.sent, scene.yaw))
+    if not states:
+        return None
+    n = len(states)
+    return Segment(
+        np.stack([o.pictures for o in frames.seen]),
+        np.stack(states),
+        np.zeros((n, 3), dtype=np.float32),
+        np.array(frames.recovered),
+        np.stack(frames.block).astype(np.float32),
+        np.zeros(n, dtype=bool),
+        ends=False,
+    )
 
 
 def _advance_students(runs: Sequence[_Run], student: CameraPolicy) -> None:

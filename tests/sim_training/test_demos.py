@@ -17,7 +17,7 @@ from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import wall_gaps
 from sim_training.demos import dataset
 from sim_training.demos.recoveries import RenderedRecovery
-from sim_training.demos.rollouts import RolloutSettings, Segment, demonstrate, try_student
+from sim_training.demos.rollouts import RolloutSettings, Segment, demonstrate, look_around, try_student
 from sim_training.demos.starts import Start, draw_start
 from sim_training.domains import find_domain
 from sim_training.recovery import RecoverySettings
@@ -125,19 +125,28 @@ def test_a_segment_s_actions_are_the_steps_that_were_carried_out() -> None:
         # The box stands square in this scene, so the hand's axes are the world's.
         sent = tips + leads
         np.testing.assert_allclose(np.diff(sent, axis=0), segment.action[:-1], atol=1e-6)
-    last = [of[-2] for of in found if of]
+    last = [of[-1] for of in found if of]
     assert all(s.ends and s.recovered[-1] and not s.action[-1].any() for s in last)
 
 
 def test_a_burst_is_not_recorded_and_splits_the_episode() -> None:
     calm = demonstrate([FREE], RIG, still, RecoverySettings(), 5, settings=RolloutSettings(burst_probability=0.0))
-    assert [s.ends for s in calm[0]] == [True, False], "one recovery, and the still moments"
-    assert not calm[0][-1].acts.any()
+    assert [s.ends for s in calm[0]] == [True]
 
 
 def test_a_failed_episode_leaves_nothing() -> None:
     settings = RolloutSettings(horizon=5, burst_probability=0.0)
     assert demonstrate([CORNERED], RIG, still, RecoverySettings(), 5, settings=settings) == [[]]
+
+
+def test_moments_without_motion_show_blocks_anywhere_and_say_whether_they_are_free() -> None:
+    found = look_around([CORNERED] * 6, RIG, RecoverySettings(), 0, each=4)
+    assert found is not None and len(found.state) == 24
+    assert not found.acts.any() and not found.ends
+    gaps = found.block[:, 3:].min(1)
+    assert gaps.min() < 0.015 and gaps.max() > 0.06
+    assert not found.recovered[gaps < 0.039].any() and found.recovered.any()
+    assert look_around([], RIG, RecoverySettings(), 0) is None
 
 
 class Rising:
