@@ -14,7 +14,9 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -220,7 +222,8 @@ def load_student(folder: Path, rig: Rig | None = None, device: str = "cpu") -> D
         for view in VIEWS:
             _check_camera(view, stamp["cameras"][view], rig.camera(view))
     try:
-        policy = DiffusionPolicy.from_pretrained(folder)
+        with redirect_stdout(StringIO()):  # LeRobot announces that it loads weights
+            policy = DiffusionPolicy.from_pretrained(folder)
         policy.config.device = device
         overrides = {"device_processor": {"device": device}}
         pre, post = make_pre_post_processors(
