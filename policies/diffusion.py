@@ -31,7 +31,16 @@ from policies import trunk
 from resync_robot.core import spatial
 from resync_robot.core.errors import PolicyError
 from resync_robot.core.rig import CameraRig, Rig
-from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, PICTURE, STATE_NAMES, VIEWS, Prediction
+from resync_robot.learning.camera_view import (
+    ACTION_NAMES,
+    BLOCK_MEAN,
+    BLOCK_NAMES,
+    BLOCK_SPREAD,
+    PICTURE,
+    STATE_NAMES,
+    VIEWS,
+    Prediction,
+)
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 
@@ -183,7 +192,7 @@ class DiffusionStudent(nn.Module):
         return Prediction(
             steps.cpu().numpy().astype(np.float64),
             torch.sigmoid(self.heads.done(features))[:, 0].cpu().numpy(),
-            self.heads.block(features).cpu().numpy() / 10,
+            BLOCK_MEAN + BLOCK_SPREAD * self.heads.block(features).cpu().numpy(),
             self.view_logits(features).softmax(-1).cpu().numpy(),
         )
 

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from policies.diffusion import ACTION, IMAGES, STATE, DiffusionStudent
 from resync_robot.core.errors import TrainingError
-from resync_robot.learning.camera_view import STATE_NAMES, VIEWS
+from resync_robot.learning.camera_view import BLOCK_MEAN, BLOCK_SPREAD, STATE_NAMES, VIEWS
 from resync_robot.learning.demonstrations import Demonstrations
 
 
@@ -40,7 +40,7 @@ class DistilSettings:
     noise: float = 0.02
     """Noise of a pixel, of 1, on top of the camera's own."""
     done_weight: float = 0.1
-    block_weight: float = 0.2
+    block_weight: float = 0.3
     view_weight: float = 0.02
 
 
@@ -131,7 +131,7 @@ class Trainer:
             "chunk": torch.from_numpy(self._chunks[rows]).to(device),
             "valid": torch.from_numpy(self._valid[rows]).to(device),
             "done": torch.from_numpy(f.recovered[rows].astype(np.float32)).to(device),
-            "block": torch.from_numpy(f.block[rows]).to(device),
+            "block": torch.from_numpy(((f.block[rows] - BLOCK_MEAN) / BLOCK_SPREAD).astype(np.float32)).to(device),
         }
 
     def _augment(self, pictures: np.ndarray) -> Tensor:
@@ -174,7 +174,7 @@ class Trainer:
         return {
             "action": ((predicted - clean) ** 2 * valid).sum() / valid.sum().clamp(min=1),
             "done": s.done_weight * F.binary_cross_entropy_with_logits(heads.done(features)[:, 0], batch["done"]),
-            "block": s.block_weight * F.smooth_l1_loss(heads.block(features), 10 * batch["block"]),
+            "block": s.block_weight * F.mse_loss(heads.block(features), batch["block"]),
             "view": s.view_weight * view,
         }
 

@@ -49,12 +49,12 @@ class DistilPlan:
 
     worlds: int = 320
     """Worlds of the teacher alone."""
-    rounds: int = 2
+    rounds: int = 3
     """Rounds in which the student drives first."""
     round_worlds: int = 160
     steps: int = 1800
     """Of training on the teacher's own worlds."""
-    round_steps: int = 1200
+    round_steps: int = 1000
     """Of training after each round."""
     trials: int = 48
     """Worlds in which each candidate is tried."""

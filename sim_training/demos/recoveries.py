@@ -106,7 +106,7 @@ class RenderedRecovery:
         """Where the block is, as in `camera_view.BLOCK_NAMES`: what the policy's auxiliary head learns to see."""
         block = self.x[0, recovery_policy.BLOCK].double().numpy()
         top = spatial.pose_from_features(block[:7]) @ np.array([0.0, 0.0, block[9] / 2, 1.0])
-        gaps = recovery_policy.wall_gaps(self.x)[0].double().numpy()
+        gaps = recovery_policy.wall_gaps(self.x)[0].double().numpy().clip(max=camera_view.WIDEST_GAP)
         return np.concatenate([camera_view.to_hand(top[:3] - self._tip(), self.yaw), gaps])
 
     def freeze(self, random: torch.Generator) -> None:

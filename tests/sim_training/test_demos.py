@@ -144,7 +144,7 @@ def test_moments_without_motion_show_blocks_anywhere_and_say_whether_they_are_fr
     assert found is not None and len(found.state) == 24
     assert not found.acts.any() and not found.ends
     gaps = found.block[:, 3:].min(1)
-    assert gaps.min() < 0.015 and gaps.max() > 0.06
+    assert gaps.min() < 0.015 and gaps.max() > 0.05
     assert not found.recovered[gaps < 0.039].any() and found.recovered.any()
     assert look_around([], RIG, RecoverySettings(), 0) is None
 
