@@ -61,6 +61,18 @@ def test_no_world_of_evaluation_is_one_of_training() -> None:
     assert not seen & {trained(1_000_000 + seed).tobytes() for seed in range(200)}
 
 
+def test_unseen_worlds_lie_outside_the_edges_of_training() -> None:
+    for episode in range(20):
+        task = world_task(CORNERED, "s1", 3, episode, unseen=True)
+        width = next(task.initial.get(o, "size_x")[0] for o in task.objects if o.type.name == "block")
+        assert 0.041 < width < 0.0461 or 0.0699 < width < 0.0771
+        friction = task.physics["friction_pad"]
+        assert 0.9 <= friction <= 1.0 or 1.3 <= friction <= 1.43
+        assert {v["kind"] for v in task.physics["surfaces"].values()} <= {"checks", "blotches"}
+        again = world_task(CORNERED, "s1", 3, episode, unseen=True)
+        assert again.initial == task.initial and again.physics == task.physics
+
+
 # -- the command ------------------------------------------------------------------------------------------------------
 
 
@@ -80,6 +92,8 @@ def library(tmp_path: Path) -> Path:
         (("--seeds", "0", "-3"), "--seeds is (0, -3)"),
         (("--library", "/nowhere"), "no library folder /nowhere"),
         (("--json", "/dev/null/rows.json"), "cannot write /dev/null/rows.json"),
+        (("--skills", "camera"), "--skills camera needs cameras"),
+        (("--skills", "camera", "--perception", "camera", "--workers", "1"), "no camera policy for 'Recover'"),
     ],
 )
 def test_bad_input_is_one_error_with_code_2(

@@ -7,9 +7,16 @@ from dataclasses import replace
 import pytest
 import torch
 
-from resync_robot.core.errors import LibraryError
+from resync_robot.core.errors import LibraryError, PolicyError
 from resync_robot.core.rig import load_rig
-from resync_robot.knowledge import initial_model, learned_model, make_library, model_with_recovery
+from resync_robot.knowledge import (
+    camera_recovery,
+    initial_model,
+    learned_model,
+    make_library,
+    model_with_recovery,
+    sees_by_camera,
+)
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.model import Concepts
 from resync_robot.planning.execute import Affordance
@@ -89,3 +96,26 @@ def test_a_recovery_record_that_lacks_a_part_is_refused(part: str) -> None:
 def test_execution_that_does_not_fit_the_domain_is_refused(execution: dict[str, object]) -> None:
     with pytest.raises(LibraryError, match=r"execution\.json does not fit"):
         learned_model(CORNERED, RIG, replace(given_library(), execution=execution))
+
+
+# -- the recovery by camera -------------------------------------------------------------------------------------------
+
+
+def test_a_library_without_a_camera_policy_says_how_to_go_on() -> None:
+    assert not sees_by_camera(CORNERED, given_library())
+    with pytest.raises(LibraryError, match="no camera policy for 'Recover'") as caught:
+        camera_recovery(CORNERED, RIG, given_library())
+    assert "--skills state" in caught.value.fix
+
+
+def test_a_broken_camera_policy_is_one_clear_error() -> None:
+    library = replace(given_library(), policies={CORNERED.recovery: {"resync.json": b"{"}})
+    assert sees_by_camera(CORNERED, library)
+    with pytest.raises(PolicyError, match="no camera policy"):
+        camera_recovery(CORNERED, RIG, library)
+
+
+def test_a_recovery_can_be_put_in_place_of_the_one_that_follows_the_state() -> None:
+    other = replace(learned_model(CORNERED, RIG, given_library()).skill(CORNERED.recovery), live_state=False)
+    model = learned_model(CORNERED, RIG, given_library(), other)
+    assert model.skill(CORNERED.recovery) is other

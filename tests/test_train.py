@@ -142,6 +142,9 @@ def test_a_run_killed_in_every_phase_is_resumed_to_a_whole_library(tmp_path: Pat
         ("stages/recovery.json", 1.0),  # the check
         ("stages/dreams-000.jsonl", 0.5),  # dreaming
         ("stages/dreams-001.jsonl", 3.0),  # concepts
+        ("stages/demonstrations/turn-0-0000", 0.5),  # between demonstrations and training
+        ("stages/distil.safetensors", 0.2),  # while the student is tried
+        ("stages/demonstrations/turn-1-0000.part", 1.0),  # in the midst of a shard
     ]
     for i, (file, after) in enumerate(moments):
         code = run_smoke(out, *(["--resume"] if i else []), kill_when=file, after=after)

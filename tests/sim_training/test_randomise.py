@@ -5,10 +5,12 @@ from __future__ import annotations
 import colorsys
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_training.randomise import BLOCK_HUES, draw_physics
+from sim_training import textures
+from sim_training.randomise import BLOCK_HUES, PICTURED, UNSEEN, USUAL, draw_physics
 
 NAMES = ("b0", "b1", "b2", "b3")
 
@@ -38,3 +40,29 @@ def test_blocks_are_told_apart_by_hue(seed: int) -> None:
 def test_the_same_seed_draws_the_same_and_another_does_not() -> None:
     first, again, other = (draw_physics(np.random.default_rng(s), NAMES) for s in (1, 1, 2))
     assert first == again != other
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-1.0, 5.0), st.floats(0.01, 3.0))
+def test_usual_draws_lie_between_the_edges_and_unseen_ones_never_do(seed: int, low: float, width: float) -> None:
+    low, high = abs(low) + 0.1, abs(low) + 0.1 + width
+    assert low <= USUAL.draw(np.random.default_rng(seed), low, high) <= high
+    outside = UNSEEN.draw(np.random.default_rng(seed), low, high)
+    assert 0.9 * low - 1e-9 <= outside <= low + 1e-9 or high - 1e-9 <= outside <= 1.1 * high + 1e-9
+
+
+def test_unseen_surfaces_are_of_kinds_that_training_never_draws() -> None:
+    kinds = {"usual": set(), "pictured": set(), "unseen": set()}
+    for seed in range(60):
+        for name, ranges in (("usual", USUAL), ("pictured", PICTURED), ("unseen", UNSEEN)):
+            drawn = draw_physics(np.random.default_rng(seed), NAMES, ranges)
+            kinds[name] |= {s["kind"] for s in drawn.get("surfaces", {}).values()}
+    assert kinds["usual"] == set()
+    assert kinds["pictured"] and kinds["unseen"] and not kinds["pictured"] & kinds["unseen"]
+
+
+@pytest.mark.parametrize("kind", [*textures.TRAINED, *textures.UNSEEN])
+def test_a_surface_varies_in_brightness_and_keeps_its_hue(kind: str) -> None:
+    pixels = textures.surface(kind, 3, 0.4, (0.6, 0.5, 0.4))[..., :3].astype(float)
+    assert pixels.std() > 3 and pixels.max() <= 0.6 * 255 + 1
+    ratio = pixels[..., 0] / pixels[..., 2]
+    assert np.abs(ratio - 1.5).max() < 0.05

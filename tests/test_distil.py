@@ -1,0 +1,45 @@
+"""The last stage of training, whole and small: what it leaves, and that it goes on where it was cut off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+
+from resync_robot.core.library import load_library
+from resync_robot.core.rig import load_rig
+from resync_robot.distil import DistilPlan, distil
+from resync_robot.knowledge import shipped_library
+from resync_robot.learning.failures import PairGaussian
+from resync_robot.run_folder import RunFolder
+from sim_training.domains import find_domain
+
+TINY = DistilPlan(worlds=16, rounds=1, round_worlds=16, steps=6, round_steps=3, trials=4, batch=8)
+
+
+def run(folder: Path) -> dict[str, bytes]:
+    domain = find_domain("cornered-insertion-s")
+    library = load_library(shipped_library(domain.name))
+    gaussians = {k: PairGaussian.from_json(v) for k, v in library.gaussians.items()}
+    record = library.skills[domain.recovery]
+    return distil(domain, RunFolder(folder), TINY, record, gaussians, 0, 1, "cpu", lambda share, words: None)
+
+
+@pytest.mark.slow
+def test_it_leaves_a_policy_a_dataset_and_pictures_and_does_nothing_twice(tmp_path: Path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    from policies.diffusion import load_student
+
+    files = run(tmp_path)
+    with TemporaryDirectory() as folder:
+        for name, data in files.items():
+            (Path(folder) / name).write_bytes(data)
+        assert load_student(Path(folder), load_rig()).horizon > 0
+    dataset = LeRobotDataset("local/recoveries", root=tmp_path / "dataset", video_backend="pyav")
+    assert dataset.num_episodes > 10
+    assert all((tmp_path / name).stat().st_size > 1000 for name in ("demonstrations.png", "distil.png"))
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "stages").rglob("*") if p.is_file()}
+    assert run(tmp_path) == files
+    assert {p: p.stat().st_mtime_ns for p in before} == before
