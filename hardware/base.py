@@ -182,7 +182,7 @@ class Camera(Device, Protocol):
 
 
 @runtime_checkable
-class WindowedCamera(Camera, Protocol):
+class WindowedCamera(Protocol):
     """A camera that gives a part of its picture for less than the whole costs."""
 
     def cut_out(self, window: Window, size: int) -> Cutout:

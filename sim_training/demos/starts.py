@@ -32,7 +32,7 @@ def draw_start(
     ranges: Ranges = PICTURED,
     failed_only: bool = False,
 ) -> Start:
-    """A world of two to four blocks, any of them the one to be recovered, the others free or stuck as well.
+    """A world of two or three blocks, any of them the one to be recovered, the others free or stuck as well.
 
     Args:
         failed_only: only failures, as a deployed recovery mostly meets them; otherwise three in ten lie between the
@@ -40,7 +40,7 @@ def draw_start(
     """
     rng = np.random.default_rng([seed, 31])
     while True:
-        task = domain.dream(rng, seed, int(rng.integers(2, 5)))
+        task = domain.dream(rng, seed, int(rng.integers(2, 4)))
         blocks = [o for o in task.objects if o.type == BLOCK]
         block = blocks[int(rng.integers(len(blocks)))]
         kind = 0.0 if failed_only else rng.random()

@@ -21,6 +21,7 @@ LIBRARY = Library(
     },
     gaussians={"pairs": [[0.0, 1.0]]},
     provenance={"seed": 3, "seconds": 12.5},
+    policies={"Recover": {"config.json": b"{}", "model.safetensors": b"\x00\x01" * 50}},
 )
 
 
@@ -34,6 +35,7 @@ def test_a_saved_library_comes_back(folder: Path) -> None:
     back = load_library(folder)
     assert (back.domain, back.rig_hash, back.domain_pddl) == ("test", "abc", LIBRARY.domain_pddl)
     assert (back.gaussians, back.provenance) == (LIBRARY.gaussians, LIBRARY.provenance)
+    assert back.policies == LIBRARY.policies
     for found, saved in ((back.predicates, LIBRARY.predicates), (back.skills, LIBRARY.skills)):
         assert set(found) == set(saved)
         for name, record in saved.items():
@@ -49,6 +51,11 @@ def test_the_content_hash_knows_behaviour_and_not_the_date() -> None:
     assert replace(LIBRARY, domain_pddl="(define)").content_hash != LIBRARY.content_hash
     weights = {"free": Record({"types": ["block"]}, {"w": np.zeros((2, 3), np.float32)})}
     assert replace(LIBRARY, predicates=weights).content_hash != LIBRARY.content_hash
+
+
+def test_the_content_hash_knows_the_camera_policy() -> None:
+    other = {"Recover": {"config.json": b"{}", "model.safetensors": b"\x00\x02" * 50}}
+    assert replace(LIBRARY, policies=other).content_hash != LIBRARY.content_hash
 
 
 def test_saving_again_replaces_and_leaves_no_rest(folder: Path) -> None:

@@ -1,0 +1,76 @@
+"""What a skill may look at while it moves: parts of pictures, of whichever camera gives them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from hardware.sim import SimRobot
+from resync_robot.core.errors import PerceptionError, UnknownNameError
+from resync_robot.core.rig import load_rig
+from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.deployed_world import OracleWorld
+from sim_training.world import SimWorld
+from tests import scenes
+
+RIG = load_rig()
+WINDOW = Window(10.0, 20.0, 32.0, 32.0)
+
+
+@dataclass
+class Whole:
+    """A camera that gives whole pictures only."""
+
+    name: str = "front"
+    size: tuple[int, int] = (424, 240)
+    asked: list[str] = field(default_factory=list)
+
+    def connect(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def capture(self) -> CameraFrame:
+        width, height = self.size
+        colour = np.full((height, width, 3), 90, dtype=np.uint8)
+        return CameraFrame(self.name, colour, np.zeros((height, width), np.uint16), np.eye(3), np.eye(4), 1.25)
+
+
+class Windowed(Whole):
+    """One that gives parts for less."""
+
+    def cut_out(self, window: Window, size: int) -> Cutout:
+        self.asked.append(f"{window.left:.0f} {size}")
+        return Cutout(self.name, np.zeros((size, size, 3), dtype=np.uint8), 2.5)
+
+
+@pytest.fixture
+def world() -> OracleWorld:
+    simulated = SimWorld(scenes.scene({"b0": (0.0, 0.0)}), RIG)
+    robot = SimRobot(simulated)
+    robot.connect()
+    cameras = {"front": Whole(), "side": Windowed("side"), "wrist": Whole("wrist", (640, 480))}
+    return OracleWorld(robot, cameras, RIG, simulated.task.objects, simulated.perceive)
+
+
+def test_a_part_is_cut_from_the_whole_or_taken_as_the_camera_gives_it(world: OracleWorld) -> None:
+    look = world.observe().look
+    assert look is not None
+    cut = look("front", WINDOW, 16)
+    assert cut.colour.shape == (16, 16, 3) and (cut.colour == 90).all()
+    assert cut.time == 1.25
+    assert look("side", WINDOW, 16).time == 2.5
+
+
+def test_a_camera_that_is_not_there_or_mis_sized_is_named(world: OracleWorld) -> None:
+    look = world.observe().look
+    assert look is not None
+    with pytest.raises(UnknownNameError, match="ceiling"):
+        look("ceiling", WINDOW, 16)
+    with pytest.raises(PerceptionError, match=r"'wrist'.*640 x 480"):
+        look("wrist", WINDOW, 16)
+
+
+def test_a_simulated_robot_waits_for_whoever_thinks(world: OracleWorld) -> None:
+    assert not world.observe().realtime
