@@ -8,23 +8,25 @@ in worlds of its own is kept.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.library import Record
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.task import Domain
-from resync_robot.learning.camera_view import CameraPolicy
+from resync_robot.learning.camera_view import VIEWS, CameraPolicy, Prediction
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.plots import draw_distillation
 from resync_robot.run_folder import RunFolder, git_hash, read_json, write_json
 from resync_robot.stages import TRAINING_SEEDS, Progress
 from sim_training.demos import dataset
-from sim_training.demos.rollouts import Teacher, Trial, demonstrate, look_around, try_student
+from sim_training.demos.rollouts import RolloutSettings, Teacher, Trial, demonstrate, look_around, try_student
 from sim_training.demos.starts import draw_start
 from sim_training.domains import find_domain
 from sim_training.parallel import parallel_map
@@ -60,6 +62,10 @@ class DistilPlan:
     """Worlds in which each candidate is tried."""
     batch: int = 64
     looks: Ranges = PICTURED
+    blind: tuple[str, ...] = ()
+    """Cameras whose pictures the student never gets to see, for ablations."""
+    unrecorded_noise: float = 0.0
+    """m, as in `RolloutSettings`, for ablations."""
 
 
 PLANS = {
@@ -72,7 +78,7 @@ PLANS = {
 
 
 @dataclass(frozen=True)
-class _Context:
+class DistilContext:
     """What demonstrations and trials need, rebuilt in each worker."""
 
     domain: Domain
@@ -82,16 +88,41 @@ class _Context:
     gaussians: Mapping[str, PairGaussian]
 
 
-def _make_context(domain: str, record: Record, gaussians: Mapping[str, PairGaussian], student: Path | None) -> _Context:
+@dataclass(frozen=True)
+class _Blind:
+    """A student that does not see some of the cameras."""
+
+    student: CameraPolicy
+    blind: tuple[str, ...]
+
+    def __call__(self, pictures: np.ndarray, state: np.ndarray) -> Prediction:
+        return self.student(_blinded(pictures, self.blind), state)
+
+
+def _blinded(pictures: np.ndarray, blind: tuple[str, ...]) -> np.ndarray:
+    if not blind:
+        return pictures
+    pictures = pictures.copy()
+    pictures[:, [VIEWS.index(view) for view in blind]] = 0
+    return pictures
+
+
+def make_context(
+    domain: str,
+    record: Record,
+    gaussians: Mapping[str, PairGaussian],
+    student: Path | None,
+    blind: tuple[str, ...] = (),
+) -> DistilContext:
     from policies.neural import recovery_nets
 
     net: ActorCritic = recovery_nets(record)[0]
-    policy = None
+    policy: CameraPolicy | None = None
     if student is not None:
         from policies.diffusion import load_student
 
-        policy = load_student(student)
-    return _Context(find_domain(domain), load_rig(), net.act, policy, gaussians)
+        policy = _Blind(load_student(student), blind) if blind else load_student(student)
+    return DistilContext(find_domain(domain), load_rig(), net.act, policy, gaussians)
 
 
 @dataclass(frozen=True)
@@ -99,13 +130,16 @@ class _Shard:
     folder: Path
     first_seed: int
     looks: Ranges
+    rollout: RolloutSettings
 
 
-def _demonstrate(context: _Context, shard: _Shard) -> int:
+def _demonstrate(context: DistilContext, shard: _Shard) -> int:
     """Write one shard. Returns how many of its worlds were recovered."""
     seeds = range(shard.first_seed, shard.first_seed + SHARD)
     starts = [draw_start(context.domain, context.gaussians, s, shard.looks) for s in seeds]
-    found = demonstrate(starts, context.rig, context.teacher, RecoverySettings(), shard.first_seed, context.student)
+    found = demonstrate(
+        starts, context.rig, context.teacher, RecoverySettings(), shard.first_seed, context.student, shard.rollout
+    )
     more = range(shard.first_seed + STILL_SEEDS, shard.first_seed + STILL_SEEDS + STILL)
     still = [draw_start(context.domain, context.gaussians, s, shard.looks) for s in more]
     around = look_around(still, context.rig, RecoverySettings(), more.start)
@@ -115,7 +149,7 @@ def _demonstrate(context: _Context, shard: _Shard) -> int:
     return sum(1 for segments in found if segments)
 
 
-def _try(context: _Context, seeds: tuple[int, ...]) -> list[Trial | None]:
+def _try(context: DistilContext, seeds: tuple[int, ...]) -> list[Trial | None]:
     if context.student is None:
         raise TrainingError("there is no student to try")
     starts = [draw_start(context.domain, context.gaussians, s, failed_only=True) for s in seeds]
@@ -143,7 +177,7 @@ def distil(
     shards: list[Path] = []
     for turn in range(plan.rounds + 1):
         student = None if turn == 0 else _candidate(folder, shares.until[turn - 1])
-        context = partial(_make_context, domain.name, record, gaussians, student)
+        context = partial(make_context, domain.name, record, gaussians, student, plan.blind)
         shards += _demonstrations(folder, plan, turn, seed, context, workers, shares)
         until = shares.until[turn]
         if not (_candidate(folder, until) / "resync.json").exists():
@@ -196,7 +230,7 @@ def _demonstrations(
     plan: DistilPlan,
     turn: int,
     seed: int,
-    context: Callable[[], _Context],
+    context: Callable[[], DistilContext],
     workers: int,
     shares: _Shares,
 ) -> list[Path]:
@@ -204,8 +238,9 @@ def _demonstrations(
     worlds = plan.worlds if turn == 0 else plan.round_worlds
     first = seed * TRAINING_SEEDS + DEMONSTRATIONS + turn * 20_000
     count = max(1, worlds // SHARD)
+    rollout = RolloutSettings(unrecorded_noise=plan.unrecorded_noise)
     shards = [
-        _Shard(folder.stages / "demonstrations" / f"turn-{turn}-{i:04d}", first + i * SHARD, plan.looks)
+        _Shard(folder.stages / "demonstrations" / f"turn-{turn}-{i:04d}", first + i * SHARD, plan.looks, rollout)
         for i in range(count)
     ]
     todo = [s for s in shards if not s.folder.exists()]
@@ -227,6 +262,7 @@ def _train(
     from policies.training import DistilSettings, Trainer, statistics_of
 
     frames = dataset.read_shards(shards)
+    frames = replace(frames, pictures=_blinded(frames.pictures, plan.blind))
     checkpoint = folder.stages / "distil.safetensors"
     torch.manual_seed(seed)
     first = dataset.read_shards([s for s in shards if s.name.startswith("turn-0")])
@@ -269,5 +305,5 @@ def _trials(
 ) -> list[Trial]:
     first = seed * TRAINING_SEEDS + TRIALS
     jobs = [tuple(range(first + i, first + min(i + SHARD, plan.trials))) for i in range(0, plan.trials, SHARD)]
-    context = partial(_make_context, domain.name, record, gaussians, student)
+    context = partial(make_context, domain.name, record, gaussians, student, plan.blind)
     return [t for found in parallel_map(_try, jobs, context, workers) for t in found if t is not None]

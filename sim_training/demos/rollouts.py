@@ -40,6 +40,8 @@ class RolloutSettings:
     burst_size: float = 0.02
     """Most motion a step in a burst, along each axis."""
     least_frames: int = 3
+    unrecorded_noise: float = 0.0
+    """m of noise on what is executed but not on what is recorded. Nothing to use: an ablation shows what it costs."""
 
 
 @dataclass(frozen=True)
@@ -71,18 +73,20 @@ class _Frames:
 
     seen: list[Seen] = field(default_factory=list)
     sent: list[np.ndarray] = field(default_factory=list)
+    wanted: list[np.ndarray] = field(default_factory=list)
     recovered: list[bool] = field(default_factory=list)
     block: list[np.ndarray] = field(default_factory=list)
 
-    def add(self, scene: RenderedRecovery, sent: np.ndarray, recovered: bool) -> None:
+    def add(self, scene: RenderedRecovery, sent: np.ndarray, recovered: bool, wanted: np.ndarray | None = None) -> None:
         self.seen.append(scene.see())
         self.sent.append(np.array(sent))
+        self.wanted.append(np.array(sent if wanted is None else wanted))
         self.recovered.append(recovered)
         self.block.append(scene.block())
 
     def finish(self, yaw: float, ends: bool) -> Segment:
         sent = np.stack(self.sent)
-        steps = np.diff(sent, axis=0)
+        steps = np.stack(self.wanted)[1:] - sent[:-1]
         # After the end the hand rests; before a burst nobody knows what the step after the last would have been.
         steps, count = (np.vstack([steps, np.zeros(3)]), len(sent)) if ends else (steps, len(sent) - 1)
         return Segment(
@@ -139,7 +143,10 @@ class _Run:
             self.goal = scene.sent
         else:
             self.goal = recovery_policy.commanded_tip(scene.x, action[None])[0].double().numpy()
-        self.frames.add(scene, self.goal, recovered)
+        wanted = self.goal
+        if s.unrecorded_noise and self.held == 0:
+            self.goal = scene.reach(wanted + self.rng.normal(0.0, s.unrecorded_noise, 3))
+        self.frames.add(scene, self.goal, recovered, wanted)
         self.taught += 1
         if self.held > s.hold:
             self.success, self.over = recovered, True

@@ -1,0 +1,81 @@
+"""What each part of the camera policy's training is worth: the same budget without it, tried in the same fresh worlds.
+
+    python tests/benchmarks/camera_ablations.py RUN_FOLDER --out FOLDER [--variants NAME...] [--worlds 100] [--workers 2]
+
+RUN_FOLDER is one of `train-sim`; its recovery is the teacher. Half of the quick preset's budget. Prints JSON, a line for
+each variant: how many of the worlds, all of which begin with a block that is stuck, the student recovered by its own
+word and in truth, with looks as in training and with looks, friction and sizes that training never had.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from resync_robot.core.library import load_library
+from resync_robot.core.rig import load_rig
+from resync_robot.distil import DistilPlan, distil, make_context
+from resync_robot.evaluation_report import wilson
+from resync_robot.learning.failures import PairGaussian
+from resync_robot.run_folder import RunFolder
+from sim_training.demos.rollouts import try_student
+from sim_training.demos.starts import draw_start
+from sim_training.domains import find_domain
+from sim_training.parallel import parallel_map
+from sim_training.randomise import PICTURED, UNSEEN, USUAL
+from sim_training.recovery import RecoverySettings
+
+WHOLE = DistilPlan(worlds=320, rounds=1, round_worlds=160, steps=1800, round_steps=1000)
+VARIANTS = {
+    "whole": WHOLE,
+    "plain-looks": replace(WHOLE, looks=USUAL),
+    "no-rounds": replace(WHOLE, worlds=480, rounds=0, steps=2800),
+    "wrist-only": replace(WHOLE, blind=("front", "side")),
+    "recorded-is-not-executed": replace(WHOLE, unrecorded_noise=0.008),
+}
+FRESH = 970_000_000
+BATCH = 10
+
+
+def _try(context, job: tuple[str, int]) -> list[bool]:  # type: ignore[no-untyped-def]
+    looks, first = job
+    ranges = UNSEEN if looks == "unseen" else PICTURED
+    starts = [draw_start(context.domain, context.gaussians, first + i, ranges, failed_only=True) for i in range(BATCH)]
+    trials = try_student(starts, load_rig(), context.student, RecoverySettings(), first)
+    return [t.success for t in trials if t is not None]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=list(VARIANTS))
+    parser.add_argument("--worlds", type=int, default=100)
+    parser.add_argument("--workers", type=int, default=2)
+    args = parser.parse_args()
+    library = load_library(args.run / "library")
+    domain = find_domain(library.domain)
+    record = library.skills[domain.recovery]
+    gaussians = {k: PairGaussian.from_json(v) for k, v in library.gaussians.items()}
+    for name in args.variants:
+        plan, folder = VARIANTS[name], RunFolder(args.out / name)
+        files = distil(domain, folder, plan, record, gaussians, 0, args.workers, "cpu", lambda *_: None)
+        result: dict[str, object] = {"variant": name}
+        with TemporaryDirectory() as student:
+            for file, data in files.items():
+                (Path(student) / file).write_bytes(data)
+            context = partial(make_context, domain.name, record, gaussians, Path(student), plan.blind)
+            for looks in ("usual", "unseen"):
+                jobs = [(looks, FRESH + i) for i in range(0, args.worlds, BATCH)]
+                found = [t for trials in parallel_map(_try, jobs, context, args.workers) for t in trials]
+                low, high = wilson(sum(found), len(found))
+                result[looks] = {"recovered": sum(found), "of": len(found), "ci95": [round(low, 2), round(high, 2)]}
+        print(json.dumps(result), flush=True)
+
+
+if __name__ == "__main__":
+    main()
