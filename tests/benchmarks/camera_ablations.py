@@ -1,10 +1,10 @@
-"""What each part of the camera policy's training is worth: the same budget without it, tried in the same fresh worlds.
+"""What each part of the camera policy's training is worth: the same budget without it, in the same fresh worlds.
 
-    python tests/benchmarks/camera_ablations.py RUN_FOLDER --out FOLDER [--variants NAME...] [--worlds 100] [--workers 2]
+    python tests/benchmarks/camera_ablations.py RUN_FOLDER --out FOLDER [--variants NAME...] [--worlds 100]
 
-RUN_FOLDER is one of `train-sim`; its recovery is the teacher. Half of the quick preset's budget. Prints JSON, a line for
-each variant: how many of the worlds, all of which begin with a block that is stuck, the student recovered by its own
-word and in truth, with looks as in training and with looks, friction and sizes that training never had.
+RUN_FOLDER is one of `train-sim`; its recovery is the teacher. Half of the quick preset's budget. Prints JSON, a line
+for each variant: how many of the worlds, all of which begin with a block that is stuck, the student recovered by its
+own word and in truth, with looks as in training and with looks, friction and sizes that training never had.
 """
 
 from __future__ import annotations
