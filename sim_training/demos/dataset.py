@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +48,8 @@ def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Map
         task: what LeRobot's datasets call the instruction.
         stamp: how it came about: seeds, rig hash, commit.
     """
-    import av.logging
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    # The encoder writes dozens of lines for every video, and LeRobot gives it the terminal to write to.
-    av.logging.set_libav_level(av.logging.ERROR)
     beside = folder.with_name(folder.name + ".part")
     shutil.rmtree(beside, ignore_errors=True)
     beside.parent.mkdir(parents=True, exist_ok=True)
@@ -65,13 +64,24 @@ def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Map
             streaming_encoding=True,
             video_backend="pyav",
         )
-        for segment in segments:
-            _add(dataset, segment, task)
-        dataset.finalize()
+        with _quiet():
+            for segment in segments:
+                _add(dataset, segment, task)
+            dataset.finalize()
     else:
         beside.mkdir()
     (beside / STAMP).write_text(json.dumps({"version": VERSION, **stamp}, indent=2, sort_keys=True) + "\n")
     beside.replace(folder)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """The encoder writes dozens of lines for every video, LeRobot a progress bar for each: nothing for a person."""
+    import av.logging
+
+    av.logging.set_libav_level(av.logging.ERROR)
+    with redirect_stderr(StringIO()):
+        yield
 
 
 def _add(dataset: Any, segment: Segment, task: str) -> None:
@@ -94,14 +104,13 @@ def _add(dataset: Any, segment: Segment, task: str) -> None:
 
 def merge_shards(shards: Sequence[Path], folder: Path) -> None:
     """One LeRobot dataset of all shards, for whoever wants to train or look elsewhere; whole, or not there at all."""
-    import av.logging
     from lerobot.datasets.aggregate import aggregate_datasets
 
-    av.logging.set_libav_level(av.logging.ERROR)
     parts = [s for s in shards if (s / "meta" / "info.json").exists()]
     beside = folder.with_name(folder.name + ".part")
     shutil.rmtree(beside, ignore_errors=True)
-    aggregate_datasets(["local/recoveries"] * len(parts), "local/recoveries", roots=parts, aggr_root=beside)
+    with _quiet():
+        aggregate_datasets(["local/recoveries"] * len(parts), "local/recoveries", roots=parts, aggr_root=beside)
     stamps = [json.loads((s / STAMP).read_text()) for s in shards]
     (beside / STAMP).write_text(json.dumps({"version": VERSION, "shards": stamps}, indent=2, sort_keys=True) + "\n")
     shutil.rmtree(folder, ignore_errors=True)
