@@ -313,7 +313,12 @@ class Belief:
         if before is not None:
             quat, size = _nearest_quarter_turn(quat, before.features[3:7]), before.features[7:10]
             size_sigma, scans = 0.0015, before.scans
-        features = np.array([*above[:2], _underside(above) - size[2] / 2, *quat, *size])
+        bottom = _underside(above) - size[2]
+        if before is not None and abs(_underside(before.features) - self._ground(above[:2])) < LIFTED / 2:
+            # It stood on the ground, and nothing lifts what something is put upon. Where the cover is too high for
+            # that, it lies on the stud and is not seated: the belief must not make it fit.
+            bottom = self._ground(above[:2])
+        features = np.array([*above[:2], bottom + size[2] / 2, *quat, *size])
         covariance = np.zeros((10, 10))
         variance = np.diag(cover.covariance)[:3] + np.array([0.0015, 0.0015, 0.003]) ** 2
         covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.05**2, quat)

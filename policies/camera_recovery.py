@@ -38,6 +38,9 @@ from resync_robot.learning.camera_view import (
 )
 from resync_robot.learning.recovery_policy import project, within_reach
 
+ASIDE = 0.004
+"""m beside the block's middle at which an attempt may begin; demonstrations begin up to 6 mm beside it."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class MonitorSettings:
@@ -102,8 +105,10 @@ def _recover(
     hand = Hand(rig, first, 1.0 / RATE_HZ, stray=np.inf)
     above = travel_height(first.state, carried=None)
     finished = False
+    # No two attempts alike: what failed once from one place would fail again from there.
+    aside = np.random.default_rng(round(1000 * first.time)).uniform(-ASIDE, ASIDE, 2)
     try:
-        refused = yield from approach(hand, first.state, block, box, above, s)
+        refused = yield from approach(hand, first.state, block, box, above, s, (float(aside[0]), float(aside[1])))
         if refused is not None:
             return refused
         with ThreadPoolExecutor(1, "camera-policy") as thread:

@@ -107,17 +107,25 @@ def _recover(
 
 
 def approach(
-    hand: Hand, state: State, block: Object, box: Object, above: float, s: RecoverySkillSettings
+    hand: Hand,
+    state: State,
+    block: Object,
+    box: Object,
+    above: float,
+    s: RecoverySkillSettings,
+    aside: tuple[float, float] = (0.0, 0.0),
 ) -> Generator[JointTarget, Observation, Outcome | None]:
     """Close the fingers and bring them over the block, square to the box at the smallest turn, as in training.
 
     Args:
         above: m, the height of the tips at which they travel.
+        aside: m beside the block's middle, along the axes of the world.
 
     Returns:
         None, or why the hand is in no condition for it. Raises Blocked.
     """
     x, y, z, height = state.get(block, "x", "y", "z", "size_z")
+    x, y = x + aside[0], y + aside[1]
     yaw = float(spatial.wrap(spatial.yaw_of(state.get(box, "qw", "qx", "qy", "qz")), np.pi / 2))
     yield from hand.retreat(above, s.approach_speed)
     yield from hand.close(0.0)

@@ -247,3 +247,13 @@ def test_when_everything_stays_behind_the_hand_holds_nothing(rig: Rig) -> None:
     seen = scene(block("b0", 0.45, 0.05, FLOOR + HEIGHT, stacked=True), block("b1", 0.45, 0.05), block("b2", 0.5, -0.1))
     belief.update(seen, lost)
     assert belief.held is None
+
+
+@pytest.mark.parametrize("unseated", [0.0, 0.012])
+def test_a_cover_that_lies_on_the_stud_is_not_believed_to_be_seated(belief: Belief, unseated: float) -> None:
+    belief.update(scene(block("b0", 0.45, 0.05), block("b1", 0.5, -0.1)), robot())
+    cover = block("b1", 0.452, 0.051, FLOOR + HEIGHT + unseated, stacked=True)
+    glimpse = Glimpse("b0", np.array([0.451, 0.05]))
+    state = belief.update(scene(cover, glimpses=(glimpse,)), robot())
+    above, beneath = state.get(B1, "z")[0], state.get(B0, "z")[0]
+    assert above - beneath == pytest.approx(HEIGHT + unseated, abs=0.001)

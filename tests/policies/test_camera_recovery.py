@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -156,3 +157,15 @@ def test_the_monitor_s_limits_can_be_set() -> None:
     skill = camera_recovery_skill("Recover", Scripted(), RIG, SETTINGS, strict)
     outcome = run_skill(Seeing(SCENE), skill.ground((R, B0, THE_BOX)))
     assert "wants a step of 10 mm" in outcome.reason
+
+
+def test_no_two_attempts_begin_alike_and_all_over_the_block() -> None:
+    starts = []
+    for begun in (0.0, 7.3, 20.1):
+        seeing = Seeing(SCENE, time=begun)
+        skill = camera_recovery_skill("Recover", Scripted(step=(0.0, 0.0, 0.0), done_at=1), RIG, SETTINGS)
+        assert run_skill(seeing, skill.ground((R, B0, THE_BOX))).done
+        starts.append(min(seeing.tips, key=lambda tip: float(tip[2]))[:2])
+    block = SCENE.get(B0, "x", "y")
+    assert all(np.abs(start - block).max() < 0.005 for start in starts)
+    assert min(np.linalg.norm(a - b) for a, b in itertools.pairwise(starts)) > 1e-4
