@@ -52,7 +52,7 @@ class MonitorSettings:
     """Times in a row that a camera may give the very same picture; noise makes any two differ."""
     late: float = 0.25
     """Age of a picture; training has pictures that are up to 0.1 s old."""
-    sure: float = 0.9
+    sure: float = 0.98
     """Probability from which a picture is believed to come from another camera than it says."""
     largest_step: float = 0.035
     """Of the hand in 0.1 s: training never sees more than 0.02 along an axis."""

@@ -49,7 +49,7 @@ def test_it_leaves_a_policy_a_dataset_and_pictures_and_does_nothing_twice(tmp_pa
     assert {p: p.stat().st_mtime_ns for p in before} == before
 
 
-def test_the_shipped_policy_tells_its_cameras_apart_and_sees_its_block(tmp_path: Path) -> None:
+def test_the_shipped_policy_sees_its_block_and_whether_it_is_stuck(tmp_path: Path) -> None:
     from policies.diffusion import load_student
 
     domain, rig = find_domain("cornered-insertion-s"), load_rig()
@@ -63,9 +63,6 @@ def test_the_shipped_policy_tells_its_cameras_apart_and_sees_its_block(tmp_path:
     pictures = np.stack([o.pictures for o in seen])
     states = np.stack([proprioception(o.q, o.tip, o.tip, s.yaw) for o, s in zip(seen, scenes, strict=True)])
     found = student(pictures, states)
-    assert (found.views.argmax(-1) == np.arange(3)).mean() > 0.95
-    swapped = student(pictures[:, [1, 0, 2]], states)
-    assert (swapped.views.argmax(-1) == [1, 0, 2]).mean() > 0.9
     truth = np.stack([scene.block() for scene in scenes])
     assert np.median(np.abs(found.block[:, :2] - truth[:, :2])) < 0.008
     # In a corner nothing is done yet, whatever the hand has been through.

@@ -225,3 +225,17 @@ def test_a_broken_checkpoint_is_named(tmp_path: Path, damage: Callable[[Path], o
     damage(path)
     with pytest.raises(TrainingError, match=r"distil\.safetensors"):
         t.load(path)
+
+
+def test_answering_by_its_place_alone_is_worse_than_guessing_for_a_view_head() -> None:
+    t, d = trainer(), demonstrations(64)
+    pictures = torch.from_numpy(d.pictures).permute(0, 1, 4, 2, 3).float() / 255
+    state = torch.from_numpy(d.state)
+    found = []
+    with torch.no_grad():
+        for certainty in (0.0, 5.0):
+            for i, head in enumerate(t.student.heads.view):
+                head.weight.zero_()
+                head.bias.copy_(certainty * torch.eye(len(VIEWS))[i])
+            found.append(float(t._view_loss(pictures, state)))
+    assert found[0] == pytest.approx(np.log(len(VIEWS)), abs=1e-5) and found[1] > 2 * found[0]
