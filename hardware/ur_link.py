@@ -68,7 +68,9 @@ class Link:
                 raise RuntimeError("the controller does not run the control program")
             time.sleep(0.005)
         # The client's own view of the program lags the controller's by a few packets.
-        while not self.control.isProgramRunning() and time.monotonic() < limit:
+        while not self.control.isProgramRunning():
+            if time.monotonic() > limit:
+                raise RuntimeError("the client does not see the control program run")
             time.sleep(0.005)
         payload, centre, tcp = settings["payload"], settings["payload_centre"], settings["tcp"]
         if not self.control.setPayload(payload, centre) or not self.control.setTcp(tcp):

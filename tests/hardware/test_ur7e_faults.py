@@ -110,7 +110,8 @@ def test_a_stop_ends_the_motion_and_nothing_resumes_it(
             robot.servo(robot.state().q, 0.1)
         # The cause goes away by itself: still nothing moves until somebody connects anew.
         machine.call(lambda: machine.controller.set_safety(SafetyMode.NORMAL))
-        time.sleep(0.3)
+        begin = machine.controller.time
+        assert wait_for(lambda: machine.controller.time > begin + 0.3), "the emulated clock stands still"
         with pytest.raises(RobotError):
             robot.servo(rig.arm.home, 0.1)
     assert machine.controller.uploads == uploads == 1
