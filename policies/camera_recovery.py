@@ -25,15 +25,14 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import Cutout, Observation
 from resync_robot.learning.camera_view import (
-    DONE,
     DONE_IN_A_ROW,
-    PICTURE,
     VIEWS,
     CameraPolicy,
     Chunks,
     Prediction,
     from_hand,
     proprioception,
+    says_done,
     window_at,
 )
 from resync_robot.learning.recovery_policy import project, within_reach
@@ -140,7 +139,7 @@ def _drive(
     for _ in range(s.max_decisions):
         goal = _reach(hand, objects, hand.position + from_hand(watch.step(chunks.next()), hand.yaw))
         if chunks.wanting and not thinking.busy:
-            thinking.ask(*_observe(hand, goal, rig, watch))
+            thinking.ask(*_observe(hand, goal, rig, policy.picture, watch))
         begin = hand.position.copy()
         for i in range(1, DECISION_STEPS + 1):
             hand.position = begin + (goal - begin) * i / DECISION_STEPS
@@ -150,7 +149,7 @@ def _drive(
             prediction, late = answer
             watch.prediction(prediction)
             chunks.push(prediction.steps[0], late)
-            done_in_a_row = done_in_a_row + 1 if prediction.done[0] > DONE else 0
+            done_in_a_row = done_in_a_row + 1 if says_done(prediction)[0] else 0
             if done_in_a_row >= DONE_IN_A_ROW:
                 return True
         watch.motion(rig.tip_pose(hand.last.arm)[:3, 3])
@@ -237,7 +236,7 @@ class _Watch:
             raise Stopped(f"the hand has not moved for {m.stall_decisions / 10:.0f} s")
 
 
-def _observe(hand: Hand, goal: np.ndarray, rig: Rig, watch: _Watch) -> tuple[np.ndarray, np.ndarray]:
+def _observe(hand: Hand, goal: np.ndarray, rig: Rig, picture: int, watch: _Watch) -> tuple[np.ndarray, np.ndarray]:
     """Pictures (views, p, p, 3) and state (12,) as in training: the step to `goal` is under way."""
     seen = hand.last
     if seen.look is None:
@@ -246,7 +245,7 @@ def _observe(hand: Hand, goal: np.ndarray, rig: Rig, watch: _Watch) -> tuple[np.
     pictures = []
     for view in VIEWS:
         camera = rig.camera(view)
-        cutout = seen.look(view, window_at(camera, rig.camera_pose(camera, seen.arm), tip), PICTURE)
+        cutout = seen.look(view, window_at(camera, rig.camera_pose(camera, seen.arm), tip), picture)
         watch.picture(cutout, seen.time)
         pictures.append(cutout.colour)
     return np.stack(pictures), proprioception(seen.arm, tip, goal, hand.yaw)

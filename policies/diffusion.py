@@ -49,7 +49,7 @@ from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 from lerobot.policies.factory import make_pre_post_processors
 
-VERSION = 1
+VERSION = 2
 RETRAIN = "train a new one: resync-robot train-sim"
 IMAGES = tuple(f"observation.images.{view}" for view in VIEWS)
 STATE, ACTION = "observation.state", "action"
@@ -63,6 +63,7 @@ class DiffusionSettings:
     """The size of a policy."""
 
     backbone: str = trunk.NAME
+    picture: int = PICTURE
     crop: int = 62
     """Pixels of a side that the network sees; training moves this window about."""
     keypoints: int = 32
@@ -72,9 +73,16 @@ class DiffusionSettings:
     inference_steps: int = 8
 
 
+SIZES = {
+    "small": DiffusionSettings(),
+    "large": DiffusionSettings(backbone="resnet18", picture=128, crop=120, down_dims=(256, 512, 1024)),
+}
+"""By the names that plans of training use: what a CPU trains in minutes, and what wants a GPU."""
+
+
 def make_config(s: DiffusionSettings, device: str) -> DiffusionConfig:
     """LeRobot's description of the policy. One observation; the network predicts the clean chunk, not the noise."""
-    picture = PolicyFeature(type=FeatureType.VISUAL, shape=(3, PICTURE, PICTURE))
+    picture = PolicyFeature(type=FeatureType.VISUAL, shape=(3, s.picture, s.picture))
     return DiffusionConfig(
         n_obs_steps=1,
         horizon=s.horizon,
@@ -113,7 +121,9 @@ class Heads(nn.Module):
         super().__init__()
         self.done = nn.Sequential(nn.Linear(features, 64), nn.ReLU(), nn.Linear(64, 1))
         self.block = nn.Sequential(nn.Linear(features, 64), nn.ReLU(), nn.Linear(64, len(BLOCK_NAMES)))
-        self.view = nn.ModuleList(nn.Linear(per_view, len(VIEWS)) for _ in VIEWS)
+        self.view = nn.ModuleList(
+            nn.Sequential(nn.Linear(per_view, 32), nn.ReLU(), nn.Linear(32, len(VIEWS))) for _ in VIEWS
+        )
 
 
 class DiffusionStudent(nn.Module):
@@ -151,6 +161,10 @@ class DiffusionStudent(nn.Module):
         pre, post = make_pre_post_processors(config, dataset_stats=tensors)
         policy = DiffusionPolicy(config)
         return DiffusionStudent(policy, pre, post, Heads(*_feature_sizes(policy))).to(device)
+
+    @property
+    def picture(self) -> int:
+        return int(self.policy.config.input_features[IMAGES[0]].shape[-1])
 
     @property
     def horizon(self) -> int:

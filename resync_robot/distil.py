@@ -17,9 +17,9 @@ import numpy as np
 
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.library import Record
-from resync_robot.core.rig import Rig, load_rig
+from resync_robot.core.rig import Rig
 from resync_robot.core.task import Domain
-from resync_robot.learning.camera_view import VIEWS, CameraPolicy, Prediction
+from resync_robot.learning.camera_view import PICTURE, VIEWS, CameraPolicy, Prediction
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.plots import draw_distillation
@@ -49,18 +49,22 @@ CHECKPOINT_EVERY = 250
 class DistilPlan:
     """How much of everything."""
 
-    worlds: int = 320
+    worlds: int = 640
     """Worlds of the teacher alone."""
-    rounds: int = 3
+    rounds: int = 2
     """Rounds in which the student drives first."""
-    round_worlds: int = 160
+    round_worlds: int = 320
     steps: int = 1800
     """Of training on the teacher's own worlds."""
-    round_steps: int = 1000
+    round_steps: int = 1500
     """Of training after each round."""
-    trials: int = 48
+    trials: int = 96
     """Worlds in which each candidate is tried."""
     batch: int = 64
+    size: str = "small"
+    """Of the student, as in `policies.diffusion.SIZES`."""
+    picture: int = PICTURE
+    """Pixels of a side of the student's pictures."""
     looks: Ranges = PICTURED
     blind: tuple[str, ...] = ()
     """Cameras whose pictures the student never gets to see, for ablations."""
@@ -72,7 +76,15 @@ PLANS = {
     "smoke": DistilPlan(worlds=16, rounds=1, round_worlds=16, steps=20, round_steps=10, trials=8, batch=16),
     "quick": DistilPlan(),
     "full": DistilPlan(
-        worlds=8000, rounds=3, round_worlds=2000, steps=40_000, round_steps=15_000, trials=400, batch=128
+        worlds=8000,
+        rounds=3,
+        round_worlds=2000,
+        steps=40_000,
+        round_steps=15_000,
+        trials=400,
+        batch=128,
+        size="large",
+        picture=128,
     ),
 }
 
@@ -95,6 +107,10 @@ class _Blind:
     student: CameraPolicy
     blind: tuple[str, ...]
 
+    @property
+    def picture(self) -> int:
+        return self.student.picture
+
     def __call__(self, pictures: np.ndarray, state: np.ndarray) -> Prediction:
         return self.student(_blinded(pictures, self.blind), state)
 
@@ -109,6 +125,7 @@ def _blinded(pictures: np.ndarray, blind: tuple[str, ...]) -> np.ndarray:
 
 def make_context(
     domain: str,
+    rig: Rig,
     record: Record,
     gaussians: Mapping[str, PairGaussian],
     student: Path | None,
@@ -122,7 +139,7 @@ def make_context(
         from policies.diffusion import load_student
 
         policy = _Blind(load_student(student), blind) if blind else load_student(student)
-    return DistilContext(find_domain(domain), load_rig(), net.act, policy, gaussians)
+    return DistilContext(find_domain(domain), rig, net.act, policy, gaussians)
 
 
 @dataclass(frozen=True)
@@ -142,7 +159,7 @@ def _demonstrate(context: DistilContext, shard: _Shard) -> int:
     )
     more = range(shard.first_seed + STILL_SEEDS, shard.first_seed + STILL_SEEDS + STILL)
     still = [draw_start(context.domain, context.gaussians, s, shard.looks) for s in more]
-    around = look_around(still, context.rig, RecoverySettings(), more.start)
+    around = look_around(still, context.rig, RecoverySettings(), more.start, settings=shard.rollout)
     segments = [s for of in found for s in of] + ([around] if around else [])
     stamp = {"first_seed": shard.first_seed, "rig_hash": context.rig.hash, "git": git_hash()}
     dataset.write_shard(shard.folder, segments, context.domain.recovery, stamp)
@@ -175,15 +192,16 @@ def distil(
     points: list[dict[str, Any]] = read_json(saved) or []
     shares = _Shares(plan, progress)
     shards: list[Path] = []
+    with_student = partial(make_context, domain.name, folder.rig, record, gaussians)
     for turn in range(plan.rounds + 1):
         student = None if turn == 0 else _candidate(folder, shares.until[turn - 1])
-        context = partial(make_context, domain.name, record, gaussians, student, plan.blind)
+        context = partial(with_student, student, plan.blind)
         shards += _demonstrations(folder, plan, turn, seed, context, workers, shares)
         until = shares.until[turn]
         if not (_candidate(folder, until) / "resync.json").exists():
             _train(folder, plan, shards, until, seed, device, shares)
         if not any(p["step"] == until for p in points):
-            trials = _trials(domain, record, gaussians, _candidate(folder, until), plan, seed, workers)
+            trials = _trials(partial(with_student, _candidate(folder, until), plan.blind), plan, seed, workers)
             points.append({"step": until, "worlds": len(trials), "success": sum(t.success for t in trials)})
             write_json(saved, points)
         shares.tried(points[-1])
@@ -238,7 +256,7 @@ def _demonstrations(
     worlds = plan.worlds if turn == 0 else plan.round_worlds
     first = seed * TRAINING_SEEDS + DEMONSTRATIONS + turn * 20_000
     count = max(1, worlds // SHARD)
-    rollout = RolloutSettings(unrecorded_noise=plan.unrecorded_noise)
+    rollout = RolloutSettings(unrecorded_noise=plan.unrecorded_noise, picture=plan.picture)
     shards = [
         _Shard(folder.stages / "demonstrations" / f"turn-{turn}-{i:04d}", first + i * SHARD, plan.looks, rollout)
         for i in range(count)
@@ -258,7 +276,7 @@ def _train(
     """Train up to step `until` on all shards so far, and save the averaged student."""
     import torch
 
-    from policies.diffusion import DiffusionSettings, DiffusionStudent
+    from policies.diffusion import SIZES, DiffusionStudent
     from policies.training import DistilSettings, Trainer, statistics_of
 
     frames = dataset.read_shards(shards)
@@ -267,8 +285,8 @@ def _train(
     torch.manual_seed(seed)
     first = dataset.read_shards([s for s in shards if s.name.startswith("turn-0")])
     # The statistics of the first turn stay: weights learned with them would not survive others.
-    student: DiffusionStudent = DiffusionStudent.create(DiffusionSettings(), statistics_of(first), device)
-    trainer = Trainer(student, DistilSettings(batch=plan.batch), shares.until[-1], seed)
+    student: DiffusionStudent = DiffusionStudent.create(SIZES[plan.size], statistics_of(first), device)
+    trainer = Trainer(student, DistilSettings(batch=plan.batch, bf16=device == "cuda"), shares.until[-1], seed)
     trainer.use(frames)
     if checkpoint.exists():
         trainer.load(checkpoint)
@@ -286,7 +304,7 @@ def _train(
     torch.set_num_threads(threads)
     with trainer.averaged():
         beside = _candidate(folder, until).with_suffix(".part")
-        student.save(beside, load_rig())
+        student.save(beside, folder.rig)
         beside.replace(_candidate(folder, until))
 
 
@@ -294,16 +312,7 @@ THREADS = 2
 """Of the training process. Fixed, for sums depend on it, and the same seed shall give the same policy."""
 
 
-def _trials(
-    domain: Domain,
-    record: Record,
-    gaussians: Mapping[str, PairGaussian],
-    student: Path,
-    plan: DistilPlan,
-    seed: int,
-    workers: int,
-) -> list[Trial]:
+def _trials(context: Callable[[], DistilContext], plan: DistilPlan, seed: int, workers: int) -> list[Trial]:
     first = seed * TRAINING_SEEDS + TRIALS
     jobs = [tuple(range(first + i, first + min(i + SHARD, plan.trials))) for i in range(0, plan.trials, SHARD)]
-    context = partial(make_context, domain.name, record, gaussians, student, plan.blind)
     return [t for found in parallel_map(_try, jobs, context, workers) for t in found if t is not None]

@@ -61,6 +61,9 @@ class EvaluateConfig:
     worlds: Literal["usual", "unseen"] = "usual"
     """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had."""
 
+    rig: Path | None = None
+    """The robot and cameras to simulate, a TOML file. Default: the rig that the simulation assumes."""
+
     workers: int = 2
     """Simulation processes."""
 
@@ -93,20 +96,21 @@ def evaluate(config: EvaluateConfig) -> None:
       ([low, high], Wilson), `n` (episodes), `recoveries_per_episode`.
     - `episodes`, one for each episode that was run: the fields of `EpisodeRow`.
     - `provenance`: `version` and `git` of the program, `libraries` (content hashes, by index), `perception`, `skills`,
-      `worlds`, `seeds`, and `episodes`, the number for each row.
+      `worlds`, `rig` (its hash), `seeds`, and `episodes`, the number for each row.
 
     Raises:
         ResyncError: bad input, or a library that cannot be used.
     """
     from resync_robot import __version__
     from resync_robot.core.library import load_library
+    from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import shipped_library
     from resync_robot.progress import Stages, say
     from resync_robot.run_folder import check_writable, git_hash, write_json
     from sim_training.domains import find_domain
     from sim_training.parallel import parallel_map
 
-    domain = find_domain(config.domain)
+    domain, rig = find_domain(config.domain), load_rig(config.rig)
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     if config.episodes < 1:
         raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
@@ -126,7 +130,7 @@ def evaluate(config: EvaluateConfig) -> None:
         for seed in config.seeds
         for episode in range(config.episodes)
     ]
-    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, config.worlds)
+    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, config.worlds, rig)
     done: list[EpisodeRow] = []
     with Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
         for row in parallel_map(_run, jobs, context, config.workers):
@@ -144,6 +148,7 @@ def evaluate(config: EvaluateConfig) -> None:
             "perception": config.perception,
             "skills": skills,
             "worlds": config.worlds,
+            "rig": rig.hash,
             "seeds": list(config.seeds),
             "episodes": config.episodes,
         }
@@ -196,16 +201,15 @@ class _Context:
     methods: dict[tuple[int, str], _Method]
 
 
-def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: str, worlds: str) -> _Context:
+def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: str, worlds: str, rig: Rig) -> _Context:
     from resync_robot.baselines.human_sequence import run_human_sequence
     from resync_robot.baselines.recovery_chaining import RecoveryChaining
     from resync_robot.core.library import load_library
-    from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import camera_recovery, initial_model, learned_model, model_with_recovery
     from resync_robot.planning.execute import plan_f
     from sim_training.domains import find_domain
 
-    domain, rig = find_domain(domain_name), load_rig()
+    domain = find_domain(domain_name)
     initial = initial_model(domain, rig)
     methods: dict[tuple[int, str], _Method] = {}
     for i, path in enumerate(paths):

@@ -8,14 +8,18 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import date
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.rig import Rig, load_rig
+
+RIG_FILE = "rig.toml"
 
 
 class RunFolder:
-    """`runs/<date>-<name>/{config.json, metrics.json, stages/, library/}`."""
+    """`runs/<date>-<name>/{config.json, rig.toml, metrics.json, stages/, library/}`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -25,6 +29,31 @@ class RunFolder:
     @property
     def library(self) -> Path:
         return self.path / "library"
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The rig that the run is for: the one that `keep_rig` left, or the simulation's own."""
+        kept = self.path / RIG_FILE
+        return load_rig(kept if kept.exists() else None)
+
+    def keep_rig(self, path: Path | None) -> None:
+        """Copy the rig file `path` into the run, so that it is resumed with the rig that it began with.
+
+        Raises:
+            ConfigError: the file is no rig, or the run has begun with another one.
+        """
+        if path is None:
+            return
+        given = load_rig(path)
+        if (self.path / "config.json").exists() and self.rig.hash != given.hash:
+            raise ConfigError(
+                f"the run in {self.path} is for the rig '{self.rig.name}' ({self.rig.hash}), not for {path}",
+                "leave --rig out to go on with it, or start a new run without --resume",
+            )
+        beside = self.path / f"{RIG_FILE}.part"
+        beside.write_bytes(path.read_bytes())
+        beside.replace(self.path / RIG_FILE)
+        self.__dict__.pop("rig", None)
 
     @property
     def metrics(self) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from safetensors.numpy import load_file, save_file
 
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.library import Record
-from resync_robot.core.rig import Rig, load_rig
+from resync_robot.core.rig import Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.core.trajectory import Trajectory, read_trajectories, write_trajectories
@@ -84,8 +84,8 @@ class Context:
     model: Model
 
 
-def make_context(domain: str, recovery: Record | None) -> Context:
-    found, rig = find_domain(domain), load_rig()
+def make_context(domain: str, rig: Rig, recovery: Record | None) -> Context:
+    found = find_domain(domain)
     model = initial_model(found, rig) if recovery is None else model_with_recovery(found, rig, recovery)
     return Context(found, rig, model)
 
@@ -126,7 +126,7 @@ def mine(domain: Domain, folder: RunFolder, preset: Preset, seed: int, workers: 
     if saved is None:
         first = seed * TRAINING_SEEDS
         scenario = next(s.name for s in domain.scenarios.values() if s.training)
-        context = partial(make_context, domain.name, None)
+        context = partial(make_context, domain.name, folder.rig, None)
         tried = [
             a for a in parallel_map(_try, [(scenario, first + i) for i in range(preset.tasks)], context, workers) if a
         ]
@@ -200,7 +200,7 @@ def learn_recovery(
     weights, meta = folder.stages / "recovery.safetensors", folder.stages / "recovery.json"
     saved = read_json(meta)
     if saved is None:
-        rig, settings = load_rig(), RecoverySettings()
+        rig, settings = folder.rig, RecoverySettings()
         tasks = mined.tasks(domain)
         net, figures = train_recovery(
             tasks,
@@ -302,12 +302,19 @@ def _check(context: Context, job: tuple[Mined, int]) -> tuple[bool, bool] | None
 
 
 def check_recovery(
-    domain: Domain, mined: Mined, record: Record, first_seed: int, worlds: int, workers: int, progress: Progress
+    domain: Domain,
+    rig: Rig,
+    mined: Mined,
+    record: Record,
+    first_seed: int,
+    worlds: int,
+    workers: int,
+    progress: Progress,
 ) -> dict[str, Any]:
     """How often the recovery, then the real failed skill, succeed in fresh worlds."""
     jobs = [(mined, first_seed + i) for i in range(worlds)]
     results = []
-    for i, r in enumerate(parallel_map(_check, jobs, partial(make_context, domain.name, record), workers)):
+    for i, r in enumerate(parallel_map(_check, jobs, partial(make_context, domain.name, rig, record), workers)):
         if r is not None:
             results.append(r)
         progress((i + 1) / worlds, f"{sum(h for _, h in results)} of {len(results)} picked")
@@ -324,8 +331,8 @@ def _dream(context: tuple[Context, dict[str, PairGaussian]], spec: DreamSpec) ->
     return dream(spec, base.domain, gaussians, base.model, base.rig)
 
 
-def _dream_context(domain: str, record: Record, gaussians: dict[str, PairGaussian]) -> Any:
-    return make_context(domain, record), gaussians
+def _dream_context(domain: str, rig: Rig, record: Record, gaussians: dict[str, PairGaussian]) -> Any:
+    return make_context(domain, rig, record), gaussians
 
 
 def dream_all(
@@ -345,7 +352,7 @@ def dream_all(
     paths = [folder.stages / f"dreams-{i:03d}.jsonl" for i in range(len(chunks))]
     todo = [(path, chunk) for path, chunk in zip(paths, chunks, strict=True) if not path.exists()]
     flat = [spec for _, chunk in todo for spec in chunk]
-    stream = parallel_map(_dream, flat, partial(_dream_context, domain.name, record, gaussians), workers)
+    stream = parallel_map(_dream, flat, partial(_dream_context, domain.name, folder.rig, record, gaussians), workers)
     finished, solved, count = len(specs) - len(flat), 0, 0
     for path, chunk in todo:
         found: list[Trajectory] = []

@@ -36,6 +36,9 @@ class TrainConfig:
     resume: bool = False
     """Go on where the run in --out (default: the latest one of this domain) was cut off."""
 
+    rig: Path | None = None
+    """The robot and cameras to train for, a TOML file. Default: the rig that the simulation assumes."""
+
     device: Literal["cpu", "cuda"] = "cpu"
     """Where the recovery is learned; cuda: thousands of scenes in ManiSkill. The other stages run on the CPU."""
 
@@ -68,10 +71,11 @@ def train(config: TrainConfig) -> None:
         path = config.out or run_folder.default_folder(config.domain)
         if (path / "config.json").exists():
             raise ConfigError(f"{path} already holds a run", "add --resume to go on with it, or give another --out")
-    _check_device(config)
+    folder = run_folder.RunFolder(path)
+    folder.keep_rig(config.rig)
+    _check_device(config, folder)
     if config.skills == "camera":
         _check_renderer()
-    folder = run_folder.RunFolder(path)
     run_folder.write_json(path / "config.json", _settings(config))
     _quiet_threads()
     _run(config, domain, folder)
@@ -100,13 +104,20 @@ def _resumed(path: Path, config: TrainConfig) -> TrainConfig:
     return replace(config, **{name: saved[name] for name in SHAPING}, out=path)
 
 
-def _check_device(config: TrainConfig) -> None:
+def _check_device(config: TrainConfig, folder: RunFolder) -> None:
     if config.device == "cuda":
         import torch
+
+        from resync_robot.core.rig import load_rig
 
         if not torch.cuda.is_available():
             raise ConfigError(
                 "--device cuda: no CUDA device is visible", "use --device cpu, or see resync-robot doctor"
+            )
+        if folder.rig.hash != load_rig().hash:
+            raise ConfigError(
+                f"--device cuda: its scenes are built for the simulated rig, not for '{folder.rig.name}'",
+                "use --device cpu",
             )
 
 
@@ -157,7 +168,8 @@ def _run(config: TrainConfig, domain: Domain, folder: RunFolder) -> None:
             if "worlds" not in folder.metrics.get("check", {}):
                 first = seed * stages.TRAINING_SEEDS + 400_000
                 folder.record(
-                    "check", stages.check_recovery(domain, mined, record, first, preset.proxy_checks, w, progress)
+                    "check",
+                    stages.check_recovery(domain, folder.rig, mined, record, first, preset.proxy_checks, w, progress),
                 )
         gaussians = {"before": mined.before, "after": after}
         with folder.timed("dream"), bars.stage("dream") as progress:
@@ -202,7 +214,6 @@ def _save(
 
     from resync_robot import __version__
     from resync_robot.core.library import save_library
-    from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import make_library
     from resync_robot.plots import draw_learning_curve
 
@@ -220,7 +231,7 @@ def _save(
         },
         "figures": {s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
     }
-    library = make_library(domain, load_rig(), record, gaussians, concepts, provenance, policy)
+    library = make_library(domain, folder.rig, record, gaussians, concepts, provenance, policy)
     save_library(library, folder.library)
     folder.record("save", {"content_hash": library.content_hash})
     draw_learning_curve(metrics["recovery"]["curve"], folder.path / "recovery.png")

@@ -12,7 +12,7 @@ from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.distil import DistilPlan, distil
 from resync_robot.knowledge import shipped_library
-from resync_robot.learning.camera_view import proprioception
+from resync_robot.learning.camera_view import GAPS, proprioception
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.run_folder import RunFolder
 from sim_training.demos.recoveries import RenderedRecovery
@@ -66,5 +66,5 @@ def test_the_shipped_policy_sees_its_block_and_whether_it_is_stuck(tmp_path: Pat
     truth = np.stack([scene.block() for scene in scenes])
     assert np.median(np.abs(found.block[:, :2] - truth[:, :2])) < 0.008
     # In a corner nothing is done yet, whatever the hand has been through.
-    stuck = truth[:, 3:].max(1) < 0.02
+    stuck = truth[:, GAPS].max(1) < 0.02
     assert stuck.any() and (found.done[stuck] < 0.5).all()

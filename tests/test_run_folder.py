@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
 from resync_robot import run_folder
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.rig import load_rig
 from resync_robot.run_folder import RunFolder, check_writable, default_folder, latest_folder, read_json, write_json
 
 
@@ -103,3 +105,37 @@ def test_the_commit_is_known_or_said_to_be_unknown(monkeypatch: pytest.MonkeyPat
 def test_metrics_are_plain_json(tmp_path: Path) -> None:
     RunFolder(tmp_path).record("mine", {"rate": 0.5})
     assert json.loads((tmp_path / "metrics.json").read_text()) == {"mine": {"rate": 0.5}}
+
+
+def other_rig(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.toml"
+    text = files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
+    path.write_text(text.replace("name = ", "name = 'mine'  # ", 1))
+    return path
+
+
+def test_a_run_keeps_the_rig_that_it_began_with(tmp_path: Path) -> None:
+    mine = other_rig(tmp_path)
+    folder = RunFolder(tmp_path / "run")
+    assert folder.rig.hash == load_rig().hash
+    folder.keep_rig(mine)
+    assert folder.rig.name == "mine"
+    mine.unlink()
+    assert RunFolder(tmp_path / "run").rig.name == "mine"
+
+
+def test_a_run_is_not_resumed_with_another_rig(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "run")
+    write_json(folder.path / "config.json", {})
+    folder.keep_rig(None)
+    with pytest.raises(ConfigError, match=r"not for .*mine.toml"):
+        folder.keep_rig(other_rig(tmp_path))
+    assert folder.rig.hash == load_rig().hash
+
+
+def test_a_file_that_is_no_rig_does_not_enter_a_run(tmp_path: Path) -> None:
+    (tmp_path / "broken.toml").write_text("name = 3")
+    folder = RunFolder(tmp_path / "run")
+    with pytest.raises(ConfigError):
+        folder.keep_rig(tmp_path / "broken.toml")
+    assert not list(folder.path.glob("rig.toml*"))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig
@@ -20,7 +20,7 @@ from resync_robot.core.world import Window
 VIEWS = ("front", "side", "wrist")
 """The cameras of the rig that a policy looks through, in the order of its inputs."""
 PICTURE = 64
-"""Pixels of a side of what the policy sees."""
+"""Pixels of a side of what a small policy sees."""
 SPAN = 0.22
 """m that a window shows at the distance of the finger tips: the block, and the walls until it is clear of them."""
 RATE_HZ = 10.0
@@ -34,13 +34,10 @@ ACTION_NAMES = ("forward_m", "left_m", "up_m")
 """The step from where the tip is being sent to where it is sent next, in the hand's own horizontal axes."""
 
 
-DONE, DONE_IN_A_ROW = 0.5, 2
-"""A policy is believed to be done when it says so, above this probability, so often in a row."""
-
-
-BLOCK_NAMES = ("forward_m", "left_m", "up_m", "gap_x_m", "gap_y_m")
-BLOCK_MEAN = np.array([0.0, 0.0, -0.05, 0.03, 0.03])
-BLOCK_SPREAD = np.array([0.02, 0.02, 0.03, 0.02, 0.02])
+BLOCK_NAMES = ("forward_m", "left_m", "up_m", "gap_x_m", "gap_y_m", "lean_forward", "lean_left")
+GAPS = slice(3, 5)
+BLOCK_MEAN = np.array([0.0, 0.0, -0.05, 0.03, 0.03, 0.0, 0.0])
+BLOCK_SPREAD = np.array([0.02, 0.02, 0.03, 0.02, 0.02, 0.1, 0.1])
 """What these are, roughly. A network learns them ten times faster in these units than in metres."""
 WIDEST_GAP = 0.06
 """m; walls that are further away lie outside of the windows, so all such gaps are as one."""
@@ -53,19 +50,37 @@ class Prediction:
     Attributes:
         steps: (n, horizon, 3) m, the next steps of the hand, of which the first begins when the present one ends.
         done: (n,) probability that there is nothing left to do.
-        block: (n, 5) m, as far as it can be seen: from the tip to the middle of the block's top in the hand's axes,
-            then the block's distance to the nearer wall on each axis of the box, up to WIDEST_GAP.
+        block: (n, 7), as far as it can be seen: in m from the tip to the middle of the block's top in the hand's axes,
+            and the block's distance to the nearer wall on each axis of the box, up to WIDEST_GAP; then how far its
+            upward axis, of length 1, leans forward and left.
         views: (n, views, views) probability that picture i comes from camera j.
     """
 
     steps: Float[np.ndarray, "n h 3"]
     done: Float[np.ndarray, " n"]
-    block: Float[np.ndarray, "n 5"]
+    block: Float[np.ndarray, "n 7"]
     views: Float[np.ndarray, "n v v"]
 
 
+DONE, SEEN_FREE, DONE_IN_A_ROW = 0.5, 0.03, 2
+"""A policy is believed to be done when it says so, above this probability, while it sees the block so far from the
+walls (m), and all that so often in a row."""
+
+
+def says_done(said: Prediction) -> Bool[np.ndarray, " n"]:
+    """Does it hold its recovery for finished, and agree with itself about that?"""
+    return (said.done > DONE) & (said.block[:, GAPS].min(1) > SEEN_FREE)
+
+
 class CameraPolicy(Protocol):
-    """From pictures and proprioception to steps of the hand."""
+    """From pictures and proprioception to steps of the hand.
+
+    Attributes:
+        picture: pixels of a side of the pictures that it wants.
+    """
+
+    @property
+    def picture(self) -> int: ...
 
     def __call__(self, pictures: UInt8[np.ndarray, "n v p p 3"], state: Float[np.ndarray, "n s"]) -> Prediction: ...
 

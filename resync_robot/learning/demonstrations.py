@@ -17,7 +17,7 @@ class Demonstrations:
         state: (n, 12), as in `camera_view.STATE_NAMES`.
         action: (n, 3) m, the step that followed the one under way, in the hand's axes.
         recovered: (n,) was there nothing left to do?
-        block: (n, 5) m, as in `camera_view.BLOCK_NAMES`.
+        block: (n, 7), as in `camera_view.BLOCK_NAMES`.
         acts: (n,) is the action known? A moment without motion has none.
         segment: (n,) which segment a frame belongs to.
         ends: (n,) does that segment end with the recovery, rather than in the middle of one?
@@ -27,7 +27,7 @@ class Demonstrations:
     state: Float[np.ndarray, "n s"]
     action: Float[np.ndarray, "n 3"]
     recovered: Bool[np.ndarray, " n"]
-    block: Float[np.ndarray, "n 5"]
+    block: Float[np.ndarray, "n 7"]
     acts: Bool[np.ndarray, " n"]
     segment: Int[np.ndarray, " n"]
     ends: Bool[np.ndarray, " n"]

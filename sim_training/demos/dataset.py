@@ -17,19 +17,21 @@ import numpy as np
 from jaxtyping import UInt8
 
 from resync_robot.core.errors import TrainingError
-from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, PICTURE, RATE_HZ, STATE_NAMES, VIEWS
+from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ, STATE_NAMES, VIEWS
 from resync_robot.learning.demonstrations import Demonstrations
 from sim_training.demos.rollouts import Segment
 
-VERSION = 1
+VERSION = 2
+QUEUE = 10_000
+"""Frames that wait for their encoder. LeRobot drops those that find its queue full, on a busy machine every few."""
 STAMP = "resync.json"
 """Beside LeRobot's own files: version, seeds, rig."""
 RECOVERED, WHERE, ACTS, ENDS = "privileged.recovered", "privileged.block", "segment.acts", "segment.ends_recovered"
 
 
-def features() -> dict[str, dict[str, Any]]:
-    """LeRobot's description of a frame."""
-    picture = {"dtype": "video", "shape": (PICTURE, PICTURE, 3), "names": ["height", "width", "channels"]}
+def features(side: int) -> dict[str, dict[str, Any]]:
+    """LeRobot's description of a frame whose pictures have sides of so many pixels."""
+    picture = {"dtype": "video", "shape": (side, side, 3), "names": ["height", "width", "channels"]}
     return {
         **{f"observation.images.{view}": dict(picture) for view in VIEWS},
         "observation.state": {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
@@ -57,11 +59,12 @@ def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Map
         dataset = LeRobotDataset.create(
             repo_id="local/recoveries",
             fps=int(RATE_HZ),
-            features=features(),
+            features=features(segments[0].pictures.shape[2]),
             root=beside,
             use_videos=True,
             vcodec="h264",
             streaming_encoding=True,
+            encoder_queue_maxsize=QUEUE,
             video_backend="pyav",
         )
         with _quiet():
@@ -130,7 +133,7 @@ def contact_sheet(frames: Demonstrations, rows: int = 12, columns: int = 5) -> U
         of = np.flatnonzero(frames.segment == segment)
         some = of[np.linspace(0, len(of) - 1, columns).astype(int)]
         sheet.append(np.hstack([np.hstack(list(frames.pictures[i])) for i in some]))
-    return np.vstack(sheet) if sheet else np.zeros((PICTURE, PICTURE, 3), dtype=np.uint8)
+    return np.vstack(sheet) if sheet else np.zeros((*frames.pictures.shape[2:4], 3), dtype=np.uint8)
 
 
 def read_shards(folders: Sequence[Path]) -> Demonstrations:

@@ -51,12 +51,15 @@ class RenderedRecovery:
         rig: as the robot believes it; the scene's cameras stand off it, by the rig's own sigmas.
         lag: most control steps that the arm is behind its commands.
         seed: of everything that is drawn here.
+        picture: pixels of a side of what is seen.
         still: no errors of cameras and no lag: for tests.
     """
 
-    def __init__(self, start: Start, rig: Rig, lag: float, seed: int, still: bool = False) -> None:
+    def __init__(
+        self, start: Start, rig: Rig, lag: float, seed: int, picture: int = PICTURE, still: bool = False
+    ) -> None:
         self._rng = rng = np.random.default_rng([seed, 47])
-        self.start, self._rig = start, rig
+        self.start, self._rig, self._picture = start, rig, picture
         self._worlds = FailedWorlds([start.task], start.block, rig, np, torch.device("cpu"))
         self._zero = torch.zeros(1, dtype=torch.long)
         self._built = build_scene(start.task, rig, rendered=True)
@@ -102,12 +105,14 @@ class RenderedRecovery:
         row = torch.as_tensor(wanted, dtype=torch.float32)[None]
         return recovery_policy.within_reach(self.x, row)[0].double().numpy()
 
-    def block(self) -> Float[np.ndarray, "5"]:
+    def block(self) -> Float[np.ndarray, "7"]:
         """Where the block is, as in `camera_view.BLOCK_NAMES`: what the policy's auxiliary head learns to see."""
         block = self.x[0, recovery_policy.BLOCK].double().numpy()
-        top = spatial.pose_from_features(block[:7]) @ np.array([0.0, 0.0, block[9] / 2, 1.0])
+        world_T_block = spatial.pose_from_features(block[:7])
+        top = world_T_block @ np.array([0.0, 0.0, block[9] / 2, 1.0])
         gaps = recovery_policy.wall_gaps(self.x)[0].double().numpy().clip(max=camera_view.WIDEST_GAP)
-        return np.concatenate([camera_view.to_hand(top[:3] - self._tip(), self.yaw), gaps])
+        away, up = (camera_view.to_hand(v, self.yaw) for v in (top[:3] - self._tip(), world_T_block[:3, 2]))
+        return np.concatenate([away, gaps, up[:2]])
 
     def freeze(self, random: torch.Generator) -> None:
         """Put the block anywhere between its place and the middle of the box, and the hand at rest somewhere over it.
@@ -162,7 +167,9 @@ class RenderedRecovery:
             error = spatial.transform(spatial.rotation_from_vector(turn), rng.normal(0.0, camera.position_sigma, 3))
             focal = 1.0 + rng.normal(0.0, FOCAL_SIGMA)
         self._focal[camera.name] = focal
-        return add_camera(self._built.scene, self._built.robot, camera, camera.pose @ error, (PICTURE, PICTURE))
+        return add_camera(
+            self._built.scene, self._built.robot, camera, camera.pose @ error, (self._picture, self._picture)
+        )
 
     def _take(self) -> UInt8[np.ndarray, "v p p 3"]:
         """Only the windows are rendered: a fraction of the whole pictures' pixels, and the same rays."""

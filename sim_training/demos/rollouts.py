@@ -16,7 +16,8 @@ from torch import Tensor
 
 from resync_robot.core.rig import Rig
 from resync_robot.learning import camera_view, recovery_policy
-from resync_robot.learning.camera_view import DONE, DONE_IN_A_ROW, CameraPolicy, Chunks, proprioception, to_hand
+from resync_robot.learning.camera_view import DONE_IN_A_ROW, CameraPolicy, Chunks, proprioception, says_done, to_hand
+from resync_robot.learning.recovery_policy import up_axis
 from sim_training.demos.recoveries import RenderedRecovery, Seen
 from sim_training.demos.starts import Start
 from sim_training.recovery import RecoverySettings, is_recovered, is_tipped
@@ -29,6 +30,8 @@ Teacher = Callable[[Tensor], Tensor]
 class RolloutSettings:
     """In control steps of 0.1 s, lengths in m."""
 
+    picture: int = camera_view.PICTURE
+    """Pixels of a side of what is recorded."""
     horizon: int = 70
     """After so many steps with the teacher at the helm an episode counts as failed."""
     student_horizon: int = 80
@@ -40,6 +43,13 @@ class RolloutSettings:
     burst_size: float = 0.02
     """Most motion a step in a burst, along each axis."""
     least_frames: int = 3
+    drive: tuple[int, int] = (2, 60)
+    """Steps after which the teacher takes over from a student, unless it is called before."""
+    leaning: float = 0.995
+    """Upward part of the block's upward axis below which the teacher is called: most of what goes wrong begins so."""
+    margin: float = 0.008
+    """m by which the teacher is told that the box is narrower at every wall. A student that sees gaps a few mm wrong
+    would stop short of the line in half of its attempts if demonstrations ended on it."""
     unrecorded_noise: float = 0.0
     """m of noise on what is executed but not on what is recorded. Nothing to use: an ablation shows what it costs."""
 
@@ -53,7 +63,7 @@ class Segment:
         state: (n, 12), as in `camera_view.STATE_NAMES`.
         action: (n, 3) m, the step that followed the one under way.
         recovered: (n,) was there nothing left to do?
-        block: (n, 5) m, as in `camera_view.BLOCK_NAMES`.
+        block: (n, 7), as in `camera_view.BLOCK_NAMES`.
         acts: (n,) is the action known? A still moment has none.
         ends: did it end with the recovery, rather than with a burst?
     """
@@ -62,7 +72,7 @@ class Segment:
     state: Float[np.ndarray, "n s"]
     action: Float[np.ndarray, "n 3"]
     recovered: Bool[np.ndarray, " n"]
-    block: Float[np.ndarray, "n 5"]
+    block: Float[np.ndarray, "n 7"]
     acts: Bool[np.ndarray, " n"]
     ends: bool
 
@@ -120,6 +130,11 @@ class _Run:
     def with_student(self) -> bool:
         return not self.over and self.student_left > 0
 
+    def call_teacher(self) -> None:
+        """End the student's drive where it goes wrong, or believes that it is done."""
+        if self.said_done >= DONE_IN_A_ROW or float(up_axis(self.scene.x)[0, 2]) < self.s.leaning:
+            self.student_left = 0
+
     def close_segment(self, ends: bool) -> None:
         if len(self.frames.seen) > self.s.least_frames:
             self.segments.append(self.frames.finish(self.scene.yaw, ends))
@@ -167,20 +182,23 @@ def demonstrate(
     """For each start the segments of a successful recovery; none where the teacher failed or the scene fell over.
 
     Args:
-        student: drives first, for a drawn number of steps; the teacher takes over from wherever that leads.
+        student: drives first, for a drawn number of steps or until it goes wrong; the teacher takes over from there.
     """
     s = settings or RolloutSettings()
     rng = np.random.default_rng([seed, 59])
     runs = []
     for i, start in enumerate(starts):
-        steps = 0 if student is None else int(rng.integers(2, 30))
-        runs.append(_Run(RenderedRecovery(start, rig, recovery.lag, seed + i), s, steps, seed + i))
+        steps = 0 if student is None else int(rng.integers(*s.drive))
+        runs.append(_Run(RenderedRecovery(start, rig, recovery.lag, seed + i, s.picture), s, steps, seed + i))
     while any(not r.over for r in runs):
         if student is not None:
-            _advance_students([r for r in runs if r.with_student], student)
+            driven = [r for r in runs if r.with_student]
+            _advance_students(driven, student)
+            for r in driven:
+                r.call_teacher()
         taught = [r for r in runs if not r.over and not r.with_student]
         if taught:
-            x = torch.cat([r.scene.x for r in taught])
+            x = _narrower(torch.cat([r.scene.x for r in taught]), s.margin)
             previous = torch.cat([r.scene.previous for r in taught])
             with torch.no_grad():
                 actions = teacher(recovery_policy.observe(x))
@@ -196,21 +214,35 @@ def demonstrate(
     return [r.segments if r.success else [] for r in runs]
 
 
+def _narrower(x: Tensor, margin: float) -> Tensor:
+    """(n, 27) the same projected states in a box whose walls stand `margin` further inside."""
+    x = x.clone()
+    x[:, recovery_policy.BOX][:, 7:9] -= 2 * margin
+    return x
+
+
 def look_around(
-    starts: Sequence[Start], rig: Rig, recovery: RecoverySettings, seed: int, each: int = 3
+    starts: Sequence[Start],
+    rig: Rig,
+    recovery: RecoverySettings,
+    seed: int,
+    each: int = 3,
+    settings: RolloutSettings | None = None,
 ) -> Segment | None:
     """Moments without motion, for what tells a recovery that is done from one that is not: `each` of every start.
 
     They cost a tenth of a recovery, and every start is another world to see. None where all scenes fell over.
     """
     random = torch.Generator().manual_seed(seed)
+    s = settings or RolloutSettings()
     frames = _Frames()
     states = []
     for i, start in enumerate(starts):
-        scene = RenderedRecovery(start, rig, recovery.lag, seed + i)
+        scene = RenderedRecovery(start, rig, recovery.lag, seed + i, s.picture)
         for _ in range(each if scene.stands else 0):
             scene.freeze(random)
-            frames.add(scene, scene.sent, bool(is_recovered(scene.x, scene.x, recovery)))
+            x = _narrower(scene.x, s.margin)
+            frames.add(scene, scene.sent, bool(is_recovered(x, x, recovery)))
             seen = frames.seen[-1]
             states.append(proprioception(seen.q, seen.tip, scene.sent, scene.yaw))
     if not states:
@@ -237,9 +269,9 @@ def _advance_students(runs: Sequence[_Run], student: CameraPolicy) -> None:
     seen = [r.scene.see() for r in asking]
     states = [proprioception(o.q, o.tip, r.goal, r.scene.yaw) for o, r in zip(seen, asking, strict=True)]
     said = student(np.stack([o.pictures for o in seen]), np.stack(states))
-    for r, steps, done in zip(asking, said.steps, said.done, strict=True):
+    for r, steps, done in zip(asking, said.steps, says_done(said), strict=True):
         r.chunks.push(steps)
-        r.said_done = r.said_done + 1 if done > DONE else 0
+        r.said_done = r.said_done + 1 if done else 0
 
 
 @dataclass(frozen=True)
@@ -272,7 +304,7 @@ def try_student(
     """The student alone, stopped by its own word, as it is deployed; None where a scene fell over at once."""
     s = settings or RolloutSettings()
     runs = [
-        _Run(RenderedRecovery(start, rig, recovery.lag, seed + i), s, s.student_horizon, seed + i)
+        _Run(RenderedRecovery(start, rig, recovery.lag, seed + i, student.picture), s, s.student_horizon, seed + i)
         for i, start in enumerate(starts)
     ]
     trials: list[Trial | None] = [None] * len(runs)

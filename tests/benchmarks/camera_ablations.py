@@ -17,7 +17,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from resync_robot.core.library import load_library
-from resync_robot.core.rig import load_rig
 from resync_robot.distil import DistilPlan, distil, make_context
 from resync_robot.evaluation_report import wilson
 from resync_robot.learning.failures import PairGaussian
@@ -45,7 +44,7 @@ def _try(context, job: tuple[str, int]) -> list[bool]:  # type: ignore[no-untype
     looks, first = job
     ranges = UNSEEN if looks == "unseen" else PICTURED
     starts = [draw_start(context.domain, context.gaussians, first + i, ranges, failed_only=True) for i in range(BATCH)]
-    trials = try_student(starts, load_rig(), context.student, RecoverySettings(), first)
+    trials = try_student(starts, context.rig, context.student, RecoverySettings(), first)
     return [t.success for t in trials if t is not None]
 
 
@@ -68,7 +67,7 @@ def main() -> None:
         with TemporaryDirectory() as student:
             for file, data in files.items():
                 (Path(student) / file).write_bytes(data)
-            context = partial(make_context, domain.name, record, gaussians, Path(student), plan.blind)
+            context = partial(make_context, domain.name, folder.rig, record, gaussians, Path(student), plan.blind)
             for looks in ("usual", "unseen"):
                 jobs = [(looks, FRESH + i) for i in range(0, args.worlds, BATCH)]
                 found = [t for trials in parallel_map(_try, jobs, context, args.workers) for t in trials]

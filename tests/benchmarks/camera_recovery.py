@@ -20,9 +20,9 @@ import numpy as np
 from resync_robot.core.library import Library, Record, load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.evaluation_report import wilson
-from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS
+from resync_robot.learning.camera_view import STATE_NAMES, VIEWS, CameraPolicy
 from resync_robot.learning.failures import PairGaussian
-from sim_training.demos.rollouts import RolloutSettings, demonstrate, try_student
+from sim_training.demos.rollouts import RolloutSettings, Teacher, demonstrate, try_student
 from sim_training.demos.starts import draw_start
 from sim_training.domains import find_domain
 from sim_training.parallel import parallel_map
@@ -35,7 +35,7 @@ BATCH = 8
 ALONE = RolloutSettings(burst_probability=0.0)
 
 
-def _context(path: Path) -> tuple[Library, object, object, dict[str, PairGaussian]]:
+def _context(path: Path) -> tuple[Library, Teacher, CameraPolicy, dict[str, PairGaussian]]:
     from policies.diffusion import load_student
     from policies.neural import recovery_nets
 
@@ -70,9 +70,9 @@ def _inference_ms(path: Path) -> list[float]:
     student = _context(path)[2]
     rng, spent = np.random.default_rng(0), []
     for _ in range(33):
-        pictures = rng.integers(0, 255, (1, len(VIEWS), PICTURE, PICTURE, 3)).astype(np.uint8)
+        pictures = rng.integers(0, 255, (1, len(VIEWS), student.picture, student.picture, 3)).astype(np.uint8)
         begun = time.perf_counter()
-        student(pictures, np.zeros((1, len(STATE_NAMES))))  # type: ignore[operator]
+        student(pictures, np.zeros((1, len(STATE_NAMES))))
         spent.append(1000 * (time.perf_counter() - begun))
     return [round(float(np.median(spent[3:])), 1), round(max(spent[3:]), 1)]
 

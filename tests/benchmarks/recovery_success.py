@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 
 from resync_robot.core.library import load_library
+from resync_robot.core.rig import load_rig
 from resync_robot.evaluation_report import wilson
 from resync_robot.run_folder import RunFolder
 from resync_robot.stages import PRESETS, check_recovery, mine
@@ -28,7 +29,9 @@ def main() -> None:
     domain = find_domain(library.domain)
     quiet = lambda share, figure: None  # noqa: E731
     mined = mine(domain, RunFolder(args.run), PRESETS["quick"], 0, 1, quiet)
-    found = check_recovery(domain, mined, library.skills[domain.recovery], FRESH, args.worlds, args.workers, quiet)
+    found = check_recovery(
+        domain, load_rig(), mined, library.skills[domain.recovery], FRESH, args.worlds, args.workers, quiet
+    )
     low, high = wilson(found["picked"], found["worlds"])
     rate = f"{found['picked']} of {found['worlds']} recovered and then picked"
     print(f"{rate} [{low:.3f}, {high:.3f}]; beta fired in {found['beta']}")

@@ -55,18 +55,20 @@ class Scripted:
     step: tuple[float, float, float] = (0.01, 0.0, 0.0)
     done_at: int = 10_000
     away: float = 0.0
+    gap: float = 0.05
     views: tuple[int, ...] = (0, 1, 2)
     seconds: float = 0.0
+    picture: int = PICTURE
     asked: int = 0
 
     def __call__(self, pictures: np.ndarray, state: np.ndarray) -> Prediction:
-        assert pictures.shape == (1, len(VIEWS), PICTURE, PICTURE, 3) and state.shape == (1, len(STATE_NAMES))
+        assert pictures.shape == (1, len(VIEWS), self.picture, self.picture, 3) and state.shape == (1, len(STATE_NAMES))
         time.sleep(self.seconds)
         self.asked += 1
         return Prediction(
             np.tile(np.array(self.step), (1, 8, 1)),
             np.array([float(self.asked >= self.done_at)]),
-            np.array([[self.away, 0.0, -0.06, 0.0, 0.0]]),
+            np.array([[self.away, 0.0, -0.06, self.gap, 0.05, 0.0, 0.0]]),
             np.eye(len(VIEWS))[None, list(self.views)],
         )
 
@@ -84,6 +86,15 @@ def test_it_ends_when_the_policy_has_said_so_twice_and_gets_out_of_the_way() -> 
     assert outcome == Outcome(Ending.DONE)
     assert policy.asked == 4
     assert world.tips[-1][2] >= travel_height(SCENE, None) - 1e-3
+
+
+def test_a_policy_gets_pictures_of_the_size_that_it_wants() -> None:
+    assert run(Scripted(done_at=1, picture=96))[0] == Outcome(Ending.DONE)
+
+
+def test_a_policy_that_says_done_beside_a_wall_is_not_believed() -> None:
+    outcome, _ = run(Scripted(done_at=3, gap=0.01))
+    assert outcome.ending is not Ending.DONE
 
 
 def test_a_policy_that_is_never_done_ends_with_a_time_out() -> None:

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from policies import trunk
-from policies.diffusion import IMAGES, DiffusionSettings, DiffusionStudent, load_student
+from policies.diffusion import IMAGES, SIZES, DiffusionSettings, DiffusionStudent, load_student
 from policies.training import DistilSettings, Trainer, chunks_of, statistics_of
 from resync_robot.core.errors import PolicyError, TrainingError
 from resync_robot.core.rig import CameraRig, load_rig
@@ -33,7 +33,7 @@ def demonstrations(n: int = 40, seed: int = 0) -> Demonstrations:
         state=state,
         action=(0.02 * np.tanh(state[:, :3])).astype(np.float32),
         recovered=state[:, 3] > 0,
-        block=state[:, 4:9] / 20,
+        block=state[:, 4:11] / 20,
         acts=np.ones(n, dtype=bool),
         segment=np.arange(n) // (n // 4),
         ends=np.arange(n) // (n // 4) % 2 == 0,
@@ -64,6 +64,14 @@ def test_a_saved_policy_gives_the_same_answers(student: DiffusionStudent, saved:
         np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=1e-6, err_msg=name)
     assert before.steps.shape == (2, SMALL.horizon, 3)
     np.testing.assert_allclose(before.views.sum(-1), 1, atol=1e-5)
+
+
+def test_a_large_policy_has_larger_pictures_and_a_resnet() -> None:
+    large = replace(SIZES["large"], down_dims=SMALL.down_dims, inference_steps=1)
+    student = DiffusionStudent.create(large, statistics_of(demonstrations()), "cpu").eval()
+    assert student.picture == 128
+    pictures = np.zeros((1, len(VIEWS), 128, 128, 3), dtype=np.uint8)
+    assert student(pictures, seen(1)[1]).steps.shape == (1, large.horizon, 3)
 
 
 def test_stock_lerobot_loads_it_and_acts_alike(student: DiffusionStudent, saved: Path) -> None:
@@ -176,10 +184,10 @@ def test_moments_without_motion_teach_no_motion() -> None:
     assert valid[:8].all() and not valid[8:].any()
 
 
-def trainer(student: DiffusionStudent | None = None) -> Trainer:
+def trainer(student: DiffusionStudent | None = None, bf16: bool = False) -> Trainer:
     torch.manual_seed(1)
     made = student or DiffusionStudent.create(SMALL, statistics_of(demonstrations()), "cpu")
-    t = Trainer(made, DistilSettings(batch=8), steps=60, seed=4)
+    t = Trainer(made, DistilSettings(batch=8, bf16=bf16), steps=60, seed=4)
     t.use(demonstrations())
     return t
 
@@ -209,8 +217,9 @@ def test_the_average_is_put_in_and_taken_out_again() -> None:
     np.testing.assert_array_equal(weights(t), raw)
 
 
-def test_it_learns_what_can_be_read_off_the_observation() -> None:
-    t, losses = trainer(), []
+@pytest.mark.parametrize("bf16", [False, True])
+def test_it_learns_what_can_be_read_off_the_observation(bf16: bool) -> None:
+    t, losses = trainer(bf16=bf16), []
     t.run(60, lambda step, found: losses.append(found))
     assert losses[-1]["action"] < 0.8 * losses[0]["action"]
     assert losses[-1]["view"] <= losses[0]["view"]
@@ -235,7 +244,7 @@ def test_answering_by_its_place_alone_is_worse_than_guessing_for_a_view_head() -
     with torch.no_grad():
         for certainty in (0.0, 5.0):
             for i, head in enumerate(t.student.heads.view):
-                head.weight.zero_()
-                head.bias.copy_(certainty * torch.eye(len(VIEWS))[i])
+                head[-1].weight.zero_()
+                head[-1].bias.copy_(certainty * torch.eye(len(VIEWS))[i])
             found.append(float(t._view_loss(pictures, state)))
     assert found[0] == pytest.approx(np.log(len(VIEWS)), abs=1e-5) and found[1] > 2 * found[0]

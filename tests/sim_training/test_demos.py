@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ import torch
 from perception.cutout import cut_out
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.rig import load_rig
-from resync_robot.learning.camera_view import EXECUTE, PICTURE, VIEWS, Prediction, to_hand, window_at
+from resync_robot.learning.camera_view import BLOCK_NAMES, EXECUTE, GAPS, PICTURE, VIEWS, Prediction, to_hand, window_at
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import wall_gaps
 from sim_training.demos import dataset
@@ -90,7 +90,8 @@ def test_the_scene_knows_where_the_block_is(recovery: RenderedRecovery) -> None:
     block = recovery.block()
     np.testing.assert_allclose(block[:2], 0, atol=0.007)
     assert -0.10 < block[2] < -0.05
-    np.testing.assert_allclose(block[3:], 0.001, atol=2e-4)
+    np.testing.assert_allclose(block[GAPS], 0.001, atol=2e-4)
+    np.testing.assert_allclose(block[5:], 0, atol=1e-3)
     assert recovery.see().pictures.shape == (len(VIEWS), PICTURE, PICTURE, 3)
 
 
@@ -143,20 +144,36 @@ def test_moments_without_motion_show_blocks_anywhere_and_say_whether_they_are_fr
     found = look_around([CORNERED] * 6, RIG, RecoverySettings(), 0, each=4)
     assert found is not None and len(found.state) == 24
     assert not found.acts.any() and not found.ends
-    gaps = found.block[:, 3:].min(1)
+    gaps = found.block[:, GAPS].min(1)
     assert gaps.min() < 0.015 and gaps.max() > 0.05
-    assert not found.recovered[gaps < 0.039].any() and found.recovered.any()
+    needed = RecoverySettings().gap + RolloutSettings().margin
+    assert not found.recovered[gaps < needed - 1e-3].any() and found.recovered.any()
     assert look_around([], RIG, RecoverySettings(), 0) is None
 
 
+def test_demonstrations_end_a_margin_beyond_the_line() -> None:
+    nearly = Start(scenes.scene({"b0": (scenes.CORNER - 0.044, scenes.CORNER - 0.044)}), scenes.B0)
+    ends = []
+    for margin in (0.0, 0.008):
+        settings = RolloutSettings(horizon=12, burst_probability=0.0, margin=margin)
+        ends.append([bool(of) for of in demonstrate([nearly], RIG, upwards, RecoverySettings(), 5, settings=settings)])
+    assert ends == [[True], [False]]
+
+
+@dataclass
 class Rising:
     """A student that lifts the hand and says that it is done, rightly or not."""
+
+    done: float = 1.0
+    picture: int = PICTURE
 
     def __call__(self, pictures: np.ndarray, state: np.ndarray) -> Prediction:
         n = len(state)
         assert pictures.shape == (n, len(VIEWS), PICTURE, PICTURE, 3)
         steps = np.tile([0.0, 0.0, 0.01], (n, 8, 1))
-        return Prediction(steps, np.ones(n), np.zeros((n, 5)), np.tile(np.eye(3), (n, 1, 1)))
+        return Prediction(
+            steps, np.full(n, self.done), np.full((n, len(BLOCK_NAMES)), 0.05), np.tile(np.eye(3), (n, 1, 1))
+        )
 
 
 def test_a_student_is_judged_by_the_truth_not_by_its_word() -> None:
@@ -167,15 +184,23 @@ def test_a_student_is_judged_by_the_truth_not_by_its_word() -> None:
 
 
 def test_after_a_student_the_teacher_goes_on_and_only_it_is_recorded() -> None:
-    found = demonstrate([FREE], RIG, upwards, RecoverySettings(), 11, student=Rising())
+    found = demonstrate([FREE], RIG, upwards, RecoverySettings(), 11, student=Rising(done=0.0))
     (segment, *_) = found[0]
     assert segment.state[0, 8] > 0.14, "the student had lifted the hand before"
+
+
+def test_the_teacher_is_called_where_a_student_believes_that_it_is_done() -> None:
+    heights = []
+    for done in (0.0, 1.0):
+        found = demonstrate([FREE], RIG, upwards, RecoverySettings(), 11, student=Rising(done))
+        heights.append(found[0][0].state[0, 8])
+    assert heights[1] < heights[0] - 0.02
 
 
 def segment(n: int = 5, ends: bool = True) -> Segment:
     rng = np.random.default_rng(n)
     pictures = np.kron(rng.integers(0, 255, (n, 3, 8, 8, 3)), np.ones((1, 1, 8, 8, 1))).astype(np.uint8)
-    rows = [rng.normal(size=(n, k)).astype(np.float32) for k in (12, 3, 5)]
+    rows = [rng.normal(size=(n, k)).astype(np.float32) for k in (12, 3, len(BLOCK_NAMES))]
     return Segment(pictures, rows[0], rows[1], rng.random(n) > 0.5, rows[2], np.ones(n, dtype=bool), ends)
 
 
