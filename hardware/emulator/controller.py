@@ -161,8 +161,9 @@ class Controller:
     def on_input(self, values: dict[str, Value]) -> None:
         """Registers and outputs that a client wrote."""
         self.inputs.update(values)
-        if values.get("speed_slider_mask"):
-            self.slider = float(np.clip(values["speed_slider_fraction"], 0.0, 1.0))
+        fraction = float(values.get("speed_slider_fraction", np.nan))
+        if self.inputs.get("speed_slider_mask") and np.isfinite(fraction):
+            self.slider = min(max(fraction, 0.0), 1.0)
         if self.program is not None:
             self.program.on_input(values)
             if self.wire is not None and values.get("input_int_register_0") == Command.SERVOJ:
