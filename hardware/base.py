@@ -24,11 +24,15 @@ class RobotError(ResyncError):
 
 
 class StaleError(RobotError):
-    """The controller has stopped talking: what it last said is too old to move by."""
+    """The controller or a camera has fallen silent: what it last said is too old to move by."""
 
 
 class ProtectiveStopError(RobotError):
     """The controller stopped by itself. A person looks why, and acknowledges, before anything moves again."""
+
+
+class SkewError(RobotError):
+    """Depth and colour of a camera were not exposed together: they show two different moments."""
 
 
 class StarvedError(RobotError):

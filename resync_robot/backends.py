@@ -163,7 +163,7 @@ class _Ur7eLab(AbstractContextManager[Devices]):
             self._stack.enter_context(robot)
             for camera in rig.cameras:
                 pose = partial(_pose_now, rig, camera, robot)
-                cameras[camera.name] = self._stack.enter_context(RealSense(camera, pose))
+                cameras[camera.name] = self._stack.enter_context(RealSense(camera, pose, clock=robot.clock))
         return Devices(robot, cameras, robot.clock, truth, robot.acknowledge_stop)
 
     def __exit__(self, *error: object) -> None:

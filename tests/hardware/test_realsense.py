@@ -4,18 +4,39 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hardware.base import RobotError, StaleError
-from hardware.realsense import PipelineSource, RealSense, Stream, load_pyrealsense2
+from hardware.base import RobotError, SkewError, StaleError, WindowedCamera
+from hardware.realsense import FRESH_S, RealSense
+from hardware.realsense_device import PipelineSource, Stream, load_pyrealsense2
+from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import CameraRig, Rig
+from resync_robot.core.world import Window
 
 WIDTH, HEIGHT = 160, 120
 DEPTH_M = 0.5
+WINDOW = Window(40.0, 30.0, 48.0, 48.0)
+
+
+def succeeds(action: Callable[[], object]) -> bool:
+    try:
+        action()
+    except RobotError:
+        return False
+    return True
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 5.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
 
 
 @pytest.fixture
@@ -35,12 +56,12 @@ class SoftwareSource:
     """A software device that gives a pair of pictures for every `wait`.
 
     Attributes:
-        age_s: how old they are; `skew_s`: how much younger the depth is; `silent`: there are none.
+        age_s: how old they are; `skew_s`: how much younger the depth is; `silent`: there are none; `gone`: unplugged.
     """
 
-    def __init__(self, rs: Any, colour: int = 90) -> None:
-        self._rs, self._colour, self._number = rs, colour, 0
-        self.age_s, self.skew_s, self.silent, self.stopped = -0.005, 0.0, False, False
+    def __init__(self, rs: Any, colour: int = 90, file: Path | None = None) -> None:
+        self._rs, self._colour, self._number, self._file = rs, colour, 0, file
+        self.age_s, self.skew_s, self.silent, self.gone, self.stopped = -0.005, 0.0, False, False, False
 
     def start(self) -> Stream:
         rs = self._rs
@@ -67,14 +88,20 @@ class SoftwareSource:
         extrinsics.rotation, extrinsics.translation = [1, 0, 0, 0, 1, 0, 0, 0, 1], [0, 0, 0]
         self._profiles["depth"].register_extrinsics_to(self._profiles["colour"], extrinsics)
         self._device.create_matcher(rs.matchers.dlr_c)
+        self._recorder = None if self._file is None else rs.recorder(str(self._file), self._device)
+        running = self._sensors.values() if self._recorder is None else self._recorder.query_sensors()
+        self._running = list(running)
         self._syncer = rs.syncer(8)
-        for name, sensor in self._sensors.items():
-            sensor.open(self._profiles[name])
+        for profile, sensor in zip(self._profiles.values(), self._running, strict=True):
+            sensor.open(profile)
             sensor.start(self._syncer)
         return Stream(np.array([[120.0, 0, 80.0], [0, 120.0, 60.0], [0, 0, 1.0]]), 0.001, (WIDTH, HEIGHT))
 
     def wait(self, seconds: float) -> Any:
+        if self.gone:
+            raise RobotError("camera 123 is gone")
         if self.silent:
+            time.sleep(0.01)
             return None
         rs = self._rs
         # At the rate that the profiles promise: the matcher goes by it.
@@ -101,9 +128,11 @@ class SoftwareSource:
 
     def stop(self) -> None:
         self.stopped = True
-        for sensor in self._sensors.values():
+        for sensor in self._running:
             sensor.stop()
             sensor.close()
+        # A recorder finishes its file when it goes.
+        del self._recorder, self._running
 
 
 def test_a_picture_has_the_pixels_pose_and_intrinsics(rs: Any, camera: CameraRig) -> None:
@@ -125,19 +154,121 @@ def test_a_picture_has_the_pixels_pose_and_intrinsics(rs: Any, camera: CameraRig
 
 def test_no_pictures_is_one_error_in_time(rs: Any, camera: CameraRig) -> None:
     source = SoftwareSource(rs)
-    with RealSense(camera, lambda: np.eye(4), source, warm_up=1) as device:
+    with RealSense(camera, lambda: np.eye(4), source, warm_up=4) as device:
         source.silent = True
-        with pytest.raises(StaleError, match="no picture came"):
+        # One may be under way.
+        time.sleep(0.1)
+        with pytest.raises(StaleError, match=r"gave nothing usable for 1\.0 s: the newest was exposed"):
             device.capture()
+
+
+def test_a_camera_that_never_gives_a_picture_does_not_connect(rs: Any, camera: CameraRig) -> None:
+    source = SoftwareSource(rs)
+    source.silent = True
+    with pytest.raises(StaleError, match="no picture came"):
+        RealSense(camera, lambda: np.eye(4), source).connect()
+    assert source.stopped
 
 
 def test_old_pictures_are_not_passed_off_as_new(rs: Any, camera: CameraRig) -> None:
     source = SoftwareSource(rs)
     source.age_s = 30.0
     with RealSense(camera, lambda: np.eye(4), source, warm_up=4) as device:
-        with pytest.raises(StaleError, match="older than the request"):
+        with pytest.raises(StaleError, match=r"was exposed 3\d\.\d\d s ago"):
+            device.capture()
+        with pytest.raises(StaleError, match=r"was exposed 3\d\.\d\d s ago"):
+            device.cut_out(WINDOW, 16)
+
+
+def test_depth_and_colour_of_two_moments_are_no_picture(
+    rs: Any, camera: CameraRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = SoftwareSource(rs)
+    with RealSense(camera, lambda: np.eye(4), source, warm_up=4) as device:
+        device.capture()
+        # Less than half a frame: the syncer still pairs them.
+        source.skew_s = 0.012
+        device.capture()
+        monkeypatch.setattr("hardware.realsense.MOST_SKEW_S", 0.010)
+        with pytest.raises(SkewError, match="12 ms apart"):
             device.capture()
         assert device.dropped > 0
+
+
+def test_a_part_of_the_newest_picture_is_there_at_once(rs: Any, camera: CameraRig) -> None:
+    """Three cameras at 10 Hz, as a skill looks through them: nothing waits for an exposure."""
+    sources = [SoftwareSource(rs, colour) for colour in (30, 60, 90)]
+    now = time.time()
+    with ExitStack() as stack:
+        devices = [
+            stack.enter_context(RealSense(camera, lambda: np.eye(4), source, lambda: time.time() - now, warm_up=4))
+            for source in sources
+        ]
+        for device in devices:
+            assert isinstance(device, WindowedCamera)
+            device.cut_out(WINDOW, 16)
+        took, ages = [], []
+        for _ in range(10):
+            begin = time.perf_counter()
+            parts = [device.cut_out(WINDOW, 16) for device in devices]
+            took.append(time.perf_counter() - begin)
+            assert [int(part.colour[8, 8, 0]) for part in parts] == [30, 60, 90]
+            ages += [time.time() - now - part.time for part in parts]
+            time.sleep(0.05)
+    assert np.median(took) < 0.03, "less than a frame for all three"
+    # On the robot's clock, and never older than promised.
+    assert max(ages) <= FRESH_S + max(took)
+    assert min(ages) > -0.05
+
+
+def test_a_camera_that_falls_silent_is_noticed_within_the_limit(rs: Any, camera: CameraRig) -> None:
+    source = SoftwareSource(rs)
+    with RealSense(camera, lambda: np.eye(4), source, warm_up=4) as device:
+        device.cut_out(WINDOW, 16)
+        source.silent = True
+        begin = time.monotonic()
+        with pytest.raises(StaleError, match=r"the newest was exposed 0\.[12]"):
+            while True:
+                device.cut_out(WINDOW, 16)
+        assert time.monotonic() - begin < 2 * FRESH_S + 0.3
+        source.silent = False
+        wait_until(lambda: succeeds(lambda: device.cut_out(WINDOW, 16)))
+
+
+def test_an_unplugged_camera_is_one_error_from_then_on(rs: Any, camera: CameraRig) -> None:
+    source = SoftwareSource(rs)
+    with RealSense(camera, lambda: np.eye(4), source, warm_up=4) as device:
+        device.capture()
+        source.gone = True
+        for ask in (device.capture, lambda: device.cut_out(WINDOW, 16)):
+            with pytest.raises(RobotError, match="camera 123 is gone"):
+                while True:
+                    ask()
+
+
+def test_a_window_beside_the_picture_is_named(rs: Any, camera: CameraRig) -> None:
+    with (
+        RealSense(camera, lambda: np.eye(4), SoftwareSource(rs), warm_up=4) as device,
+        pytest.raises(PerceptionError, match="shows nothing of a picture of 160 x 120"),
+    ):
+        device.cut_out(Window(WIDTH + 5.0, 10.0, 20.0, 20.0), 16)
+
+
+def test_a_recording_plays_through_the_real_pipeline(rs: Any, camera: CameraRig, tmp_path: Path) -> None:
+    source = SoftwareSource(rs, file=tmp_path / "camera.db3")
+    source.start()
+    for _ in range(30):
+        source.wait(1.0)
+    source.stop()
+    played = PipelineSource("123", (WIDTH, HEIGHT), recording=tmp_path / "camera.db3")
+    with RealSense(camera, lambda: np.eye(4), played, warm_up=2, fresh=False) as device:
+        frame = device.capture()
+        assert (device.cut_out(WINDOW, 16).colour == 90).all()
+        with pytest.raises(StaleError):
+            while True:
+                device.capture()
+    assert (frame.colour == 90).all()
+    np.testing.assert_allclose(frame.depth[20:-20, 20:-20], DEPTH_M / frame.DEPTH_UNIT_M, rtol=0.005)
 
 
 def test_a_camera_that_delivers_another_size_is_named(rs: Any, camera: CameraRig) -> None:
