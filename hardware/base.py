@@ -52,8 +52,8 @@ class SafetyError(MotionError):
 
     Attributes:
         quantity: what was violated: 'shape', 'finite', 'position', 'jump', 'velocity', 'acceleration', 'jerk',
-            'opening', 'opening speed', 'floor' or 'force'.
-        joint: name of the joint, or 'gripper', 'tip', 'flange'.
+            'opening', 'opening speed', 'floor', 'clearance', 'workspace', 'tip speed' or 'force'.
+        joint: name of the joint, or 'gripper', 'tip', 'flange', or the part of the arm that comes too near.
         value, limit: what was asked and what is allowed, SI units.
     """
 

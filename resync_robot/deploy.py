@@ -119,6 +119,11 @@ def deploy(config: DeployConfig) -> int:
     for line in calibration_complaints(config, rig):
         say(f"Warning: {line}.\n  -> resync-robot calibrate check --rig {config.rig or 'rig.toml'}")
     simulated = config.backend == "sim" or (rig.controller is not None and rig.controller.emulated)
+    if rig.controller is not None and not rig.controller.full_speed:
+        say(
+            "The tip moves at 250 mm/s at most, until [controller] full_speed = true says that somebody has watched a "
+            "whole slow run."
+        )
     noise = " (RGB-D with simulated noise)" if simulated else ""
     say(
         f"Poses from the wrist camera{noise}."

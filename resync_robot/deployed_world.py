@@ -11,6 +11,7 @@ from contextlib import suppress
 import numpy as np
 
 from hardware.base import Camera, ProtectiveStopError, RealtimeRobot, Robot, WindowedCamera
+from hardware.clearance import Obstacle
 from hardware.stream import Stream
 from hardware.travel import travel
 from perception.belief import Belief, MissingObjectsError
@@ -60,8 +61,8 @@ class DeployedWorld:
         self.stream = Stream(robot, rig)
         self.scan = Scan(rig)
         self._robot_object = next(o for o in objects if o.type == ROBOT)
-        box = next(o for o in objects if o.type == BOX)
-        self.belief = Belief(self._robot_object, box, [o for o in objects if o.type == BLOCK], rig)
+        self._box = next(o for o in objects if o.type == BOX)
+        self.belief = Belief(self._robot_object, self._box, [o for o in objects if o.type == BLOCK], rig)
         self._live_state, self._on_scan = live_state, on_scan
         self._held: Object | None = None
         self.scans = 0
@@ -146,6 +147,7 @@ class DeployedWorld:
             # What was seen before and is out of sight now keeps its old place; the plan may still go on.
             state, self.missing = self.belief.state(features), error.missing
         self._held = self.belief.held
+        self.stream.keep_out(walled(state, self._box))
         if self._on_scan:
             self._on_scan(frames, state)
         return state
@@ -185,3 +187,12 @@ class OracleWorld(DeployedWorld):
 
     def observe(self, live: bool = False) -> Observation:
         return super().observe(live=True)
+
+
+def walled(state: State, box: Object) -> Obstacle:
+    """The volume of an open box, walls and all: the hand works in there, the rest of the arm stays out."""
+    inner = state.get(box, "inner_x", "inner_y")
+    height, thickness = state.get(box, "wall_z", "wall_thickness")
+    half = np.array([*(np.asarray(inner) / 2 + thickness), height / 2])
+    middle = spatial.transform(None, np.array([0.0, 0.0, half[2]]))
+    return Obstacle(box.name, spatial.pose_from_features(state[box][:7]) @ middle, half)

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from hardware.sim import SimRobot
+from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import load_rig
+from resync_robot.core.vocabulary import BOX
 from resync_robot.core.world import CameraFrame, Cutout, Window
-from resync_robot.deployed_world import OracleWorld
+from resync_robot.deployed_world import OracleWorld, walled
 from sim_training.world import SimWorld
 from tests import scenes
 
@@ -74,3 +76,16 @@ def test_a_camera_that_is_not_there_or_mis_sized_is_named(world: OracleWorld) ->
 
 def test_a_simulated_robot_waits_for_whoever_thinks(world: OracleWorld) -> None:
     assert not world.observe().realtime
+
+
+def test_a_box_is_kept_free_of_all_but_the_hand() -> None:
+    state = scenes.scene({"b0": (0.0, 0.0)}).initial
+    box = next(o for o in state if o.type == BOX)
+    inner_x, inner_y, wall, thickness = state.get(box, "inner_x", "inner_y", "wall_z", "wall_thickness")
+    kept = walled(state, box)
+    assert kept.name == box.name
+    np.testing.assert_allclose(2 * kept.half, [inner_x + 2 * thickness, inner_y + 2 * thickness, wall])
+    corner = kept.world_T_middle @ np.array([*kept.half, 1.0])
+    floor = spatial.pose_from_features(state[box][:7])
+    np.testing.assert_allclose(corner[2], floor[2, 3] + wall)
+    np.testing.assert_allclose(kept.world_T_middle[:2, 3], floor[:2, 3])

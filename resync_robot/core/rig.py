@@ -87,6 +87,8 @@ class ControllerRig:
         freshness: s after which a state of the robot is too old to move by.
         watchdog: Hz at which the controller must hear from us, or it stops by itself.
         force_limit: N at the tip above which no motion is sent.
+        workspace_low, workspace_high: (3,) m in the world; where the tip may be.
+        full_speed: a person has watched a whole slow run at this machine; before, the tip keeps to 250 mm/s.
         emulated: an emulator stands behind the address, which also lays out scenes and gives pictures.
     """
 
@@ -97,6 +99,9 @@ class ControllerRig:
     freshness: float
     watchdog: float
     force_limit: float
+    workspace_low: np.ndarray
+    workspace_high: np.ndarray
+    full_speed: bool
     emulated: bool
 
 
@@ -136,6 +141,8 @@ class Rig:
 
 _VECTORS = {
     "payload_centre": 3,
+    "workspace_low": 3,
+    "workspace_high": 3,
     "world_T_base": 7,
     "pose": 7,
     "home": 6,
@@ -167,6 +174,9 @@ _CONTROLLER = (
     "freshness",
     "watchdog",
     "force_limit",
+    "workspace_low",
+    "workspace_high",
+    "full_speed",
     "emulated",
 )
 _TEXT = ("address", "model", "name", "mount", "serial", "provenance")
@@ -268,7 +278,7 @@ def _field(value: Any, name: str, where: str) -> Any:
         if name.endswith("_limit") and np.any(vector <= 0):
             raise ConfigError(f"{where} must be positive")
         return vector
-    if name == "emulated":
+    if name in ("full_speed", "emulated"):
         if not isinstance(value, bool):
             raise ConfigError(f"{where} must be true or false, not {value!r}")
         return value
