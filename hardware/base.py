@@ -145,6 +145,10 @@ class RealtimeRobot(Robot, Protocol):
         """
         ...
 
+    def due(self) -> float:
+        """When the next setpoint that is handed over will go out, s on the robot's clock."""
+        ...
+
     def play(
         self,
         setpoints: Float[np.ndarray, "n 6"],

@@ -15,6 +15,7 @@ rig's 12 and 500, and at 20 and 1500.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -24,6 +25,7 @@ from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError
 from hardware.base import SERVO_PERIOD, Command, RealtimeRobot, Robot, RobotError, RobotState, SafetyError, StarvedError
 from hardware.clearance import Obstacle
 from hardware.safety import FIRST_RUN_SPEED, MAX_GRIPPER_SPEED, Guard
+from resync_robot.core.episode import Timing
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import Rig
@@ -84,6 +86,8 @@ class Stream:
         self._realtime = robot if isinstance(robot, RealtimeRobot) else None
         self.late = 0
         """How often the arm braked because a target came too late; only a robot in real time can."""
+        self.timing: Timing | None = None
+        """Of the last target that `run` was given."""
         self._guard = guard or Guard(robot, rig)
         self._record_every = round(1.0 / record_hz / SERVO_PERIOD)
         self._since_record = 0
@@ -137,6 +141,7 @@ class Stream:
                 rest within its limits; nothing of the refused motion was sent.
             RobotError: the robot stopped, or does not answer.
         """
+        asked, begin = self._clock(), time.perf_counter()
         fraction = self._pace if self._realtime is None else self._pace * self._realtime.speed_fraction
         count = self._count(duration, fraction)
         for _ in range(MAX_LATENESS):
@@ -148,14 +153,16 @@ class Stream:
                 setpoints, velocity = self._plan(arm, count)
                 after = [np.array(part) for part in self._trajectory.at_time(len(setpoints) * SERVO_PERIOD)]
                 stop = None if self._realtime is None else self._stop_from(*after)
+                due = self._clock() if self._realtime is None else self._realtime.due()
+                self.timing = Timing(None, asked, due, time.perf_counter() - begin)
                 self._send(target, setpoints, self._openings(target.opening, len(setpoints)), stop)
             except StarvedError as error:
                 # The arm rests where it braked to; the same target is asked for again from there.
                 self.late += 1
                 self._guard.rest_at(error.q)
-                asked = self._target
+                before = self._target
                 self._rest()
-                self._target = asked
+                self._target = before
                 continue
             except MotionError:
                 self.stop()
@@ -313,6 +320,9 @@ class Stream:
 
         self._guard.send(setpoints, openings, record if self.recorders else None, stop, braking)
 
+    def _clock(self) -> float:
+        return self._robot.state().time
+
     def _command(self, requested: JointTarget) -> Command:
         sent = JointTarget(self._guard.last_sent, self._guard.last_opening)
-        return Command(self._robot.state().time, requested, sent)
+        return Command(self._clock(), requested, sent)

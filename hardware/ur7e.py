@@ -147,6 +147,11 @@ class Ur7e(Connected):
         """How often a setpoint went out more than a tick late, since connecting."""
         return int(self._require_link().words["late_ticks"])
 
+    def due(self) -> float:
+        """See `RealtimeRobot`."""
+        w = self._require_link().words
+        return self.clock() + (int(w["write"]) - int(w["read"])) * SERVO_PERIOD
+
     def servo(self, q: Float[np.ndarray, "6"], opening: float) -> None:
         """One setpoint, from which the arm need not stop: for an arm at rest."""
         self.play(np.asarray(q, dtype=np.float64)[None], np.array([opening]), np.empty((0, 6)))

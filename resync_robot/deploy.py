@@ -220,7 +220,7 @@ def _episode(
     path: Path,
     recording: Episode | None,
 ) -> tuple[Result, bool]:
-    from hardware.base import RobotError
+    from hardware.base import RealtimeRobot, RobotError
     from resync_robot import __version__
     from resync_robot.backends import Layout, open_replay, open_simulated, open_ur7e
     from resync_robot.core.episode import EpisodeMeta, EventKind
@@ -256,6 +256,7 @@ def _episode(
             devices.clock,
             devices.truth,
             lambda: [c.capture() for c in standing],
+            live=isinstance(devices.robot, RealtimeRobot),
             confirm=lambda step: _may_run(config, str(step)),
             tell=say,
         )
@@ -267,7 +268,10 @@ def _episode(
                 raise error
             devices.resume()
 
-        world = kind(devices.robot, devices.cameras, rig, task.objects, devices.truth, recorder.on_scan, on_stop)
+        world = kind(
+            devices.robot, devices.cameras, rig, task.objects, devices.truth, recorder.on_scan, on_stop,
+            recorder.on_timing,
+        )  # fmt: skip
         world.stream.recorders.append(recorder.on_stream)
 
         say(f"Goal: {goal}")

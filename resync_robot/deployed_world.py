@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from perception.belief import Belief, MissingObjectsError
 from perception.cutout import cut_out
 from perception.scan import Scan
 from resync_robot.core import kinematics, spatial
+from resync_robot.core.episode import Timing
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
@@ -42,6 +44,7 @@ class DeployedWorld:
             deployment has none, and such a skill then raises PerceptionError. The simulated backend may hand in the
             simulator's state, and says so.
         on_scan: called with the pictures and the estimate of every scan.
+        on_timing: called with when each target was asked for and sent, and how old the pictures were behind it.
         on_stop: called when the robot has made a protective stop; it asks a person, and returns when the robot may
             go on, or raises. Without it a protective stop ends the episode.
     """
@@ -55,8 +58,10 @@ class DeployedWorld:
         live_state: Callable[[], State] | None = None,
         on_scan: Scanned | None = None,
         on_stop: Callable[[ProtectiveStopError], None] | None = None,
+        on_timing: Callable[[Timing], None] | None = None,
     ) -> None:
-        self._on_stop = on_stop
+        self._on_stop, self._on_timing = on_stop, on_timing
+        self._looked: list[float] = []
         self.robot, self.rig, self._cameras = robot, rig, cameras
         self.stream = Stream(robot, rig)
         self.scan = Scan(rig)
@@ -99,14 +104,20 @@ class DeployedWorld:
             raise UnknownNameError("camera", name, list(self._cameras))
         camera = self._cameras[name]
         if isinstance(camera, WindowedCamera):
-            return camera.cut_out(window, size)
-        return cut_out(camera.capture(), self.rig.camera(name), window, size)
+            seen = camera.cut_out(window, size)
+        else:
+            seen = cut_out(camera.capture(), self.rig.camera(name), window, size)
+        self._looked.append(seen.time)
+        return seen
 
     def act(self, target: JointTarget, duration: float) -> None:
         try:
             self.stream.run(target, duration)
         except ProtectiveStopError as error:
             self._resume(error)
+        if self._on_timing and self.stream.timing is not None:
+            self._on_timing(replace(self.stream.timing, picture=min(self._looked, default=None)))
+        self._looked.clear()
 
     def _resume(self, error: ProtectiveStopError) -> None:
         """Have the stop acknowledged, and begin again where the arm is measured. Raises, whatever happens."""

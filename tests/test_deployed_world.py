@@ -9,6 +9,7 @@ import pytest
 
 from hardware.sim import SimRobot
 from resync_robot.core import spatial
+from resync_robot.core.episode import Timing
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.vocabulary import BOX
@@ -89,3 +90,17 @@ def test_a_box_is_kept_free_of_all_but_the_hand() -> None:
     floor = spatial.pose_from_features(state[box][:7])
     np.testing.assert_allclose(corner[2], floor[2, 3] + wall)
     np.testing.assert_allclose(kept.world_T_middle[:2, 3], floor[:2, 3])
+
+
+def test_every_target_says_how_old_the_pictures_behind_it_are(world: OracleWorld) -> None:
+    timings: list[Timing] = []
+    world._on_timing = timings.append
+    look = world.observe().look
+    assert look is not None
+    look("side", WINDOW, 16)
+    look("front", WINDOW, 16)
+    world.act(world.stream.target, 0.02)
+    world.act(world.stream.target, 0.02)
+    assert [t.picture for t in timings] == [1.25, None]
+    assert timings[0].asked <= timings[0].due < timings[1].due
+    assert all(0 < t.computed < 1 for t in timings)

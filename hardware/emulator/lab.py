@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import socket
+import threading
 from collections.abc import Mapping
 from typing import Any
 
@@ -31,6 +32,7 @@ class LabClient(Connected):
         self._where = (address, port)
         self._socket: socket.socket | None = None
         self._buffer = b""
+        self._asking = threading.Lock()
 
     def connect(self) -> None:
         address, port = self._where
@@ -67,7 +69,11 @@ class LabClient(Connected):
         return float(head["time"]), colour, depth
 
     def ask(self, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
-        """The answer, and the bytes that follow it. Raises RobotError with the lab's own words."""
+        """The answer, and the bytes that follow it, for any thread. Raises RobotError with the lab's own words."""
+        with self._asking:
+            return self._ask(question)
+
+    def _ask(self, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
         if self._socket is None:
             raise RobotError("the emulated lab is not connected")
         try:

@@ -10,8 +10,14 @@
 | /atoms | text of each atom -> probability |
 | /plan | steps, index of the one under way, why it was planned |
 | /event | scan, skill start and end, replan, give-up, goal, stop |
-| /camera/NAME/{info,colour,depth} | intrinsics and pose (JSON), JPEG, 16-bit PNG (unit 1e-4 m, 0 = nothing) |
-| /points | fused cloud in the world: per point 3 float32 (m), 3 uint8 (RGB) |
+| /timing | of each target: exposure of what it was decided on, asked, first setpoint due, seconds of computing |
+| /camera/NAME/info | intrinsics and pose |
+| /camera/NAME/{colour,depth} | sensor_msgs/CompressedImage: JPEG, and 16-bit PNG (unit 1e-4 m, 0 = nothing) |
+| /points | sensor_msgs/PointCloud2: fused cloud in the world, x y z in m, r g b |
+
+JSON but for the last two. The same once more as messages of ROS 2, for Foxglove, Rerun and whatever else reads them:
+/joint_states, /joint_commands, /tf, /wrench, /camera/NAME/{camera_info,depth_mm}, /plan_text, /atoms_text, /rosout,
+/latency.
 
 Times are seconds of the episode (stored as ns). `core.episode_writer` writes such a file; `read_episode` returns
 what is whole of a torn one.
@@ -34,13 +40,15 @@ from jaxtyping import Float, UInt8
 from mcap.records import Channel, Chunk, Footer, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from resync_robot.core import ros_messages
 from resync_robot.core.errors import EpisodeError, ResyncError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import TYPES
 
-FORMAT = 1
+FORMAT = 2
+"""1 had pictures as plain JPEG, and nothing of ROS 2."""
 MAX_CHUNK_BYTES = 256 * 2**20
 """A chunk that claims to unpack to more is taken for damage; one picture is far below."""
 
@@ -52,7 +60,7 @@ FRAMES = {
     "quaternions": "w x y z",
     "joints": list(ARM_JOINTS),
 }
-# One point of a cloud in the file.
+# One point of a cloud in the file, as `ros_messages.point_cloud` tells viewers.
 POINT = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 
 
@@ -128,6 +136,22 @@ class Event:
     kind: EventKind
     text: str
     details: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Of one target, on the robot's clock in s.
+
+    Attributes:
+        picture: when the oldest picture was exposed that the target was decided on; None where there was none.
+        asked: when it was handed to the stream; `due`: when its first setpoint was to be sent.
+        computed: s of computing in between.
+    """
+
+    picture: float | None
+    asked: float
+    due: float
+    computed: float
 
 
 @dataclass(frozen=True)
@@ -270,8 +294,19 @@ class Episode:
                 event = Event(time, EventKind(m["kind"]), str(m["text"]), dict(m["details"]))
             yield event
 
+    def timings(self) -> Iterator[Timing]:
+        for time, m in self._read("/timing"):
+            with self._sense("/timing", time):
+                picture = None if m["picture"] is None else _number(m["picture"])
+                timing = Timing(picture, *(_number(m[name]) for name in ("asked", "due", "computed")))
+            yield timing
+
     def pictures(self, camera: str) -> Iterator[Picture]:
         colours, depths = (dict(self.messages.get(f"/camera/{camera}/{kind}", ())) for kind in ("colour", "depth"))
+        for kind, pictures in (("colour", colours), ("depth", depths)):
+            for time, message in pictures.items():
+                with self._sense(f"/camera/{camera}/{kind}", time):
+                    pictures[time] = ros_messages.image_data(message)
         for time, m in self._read(f"/camera/{camera}/info"):
             with self._sense(f"/camera/{camera}/info", time):
                 intrinsics, pose = _vector(m["intrinsics"], 3, 3), _vector(m["world_T_cam"], 4, 4)
@@ -279,10 +314,9 @@ class Episode:
             yield Picture(time, camera, intrinsics, pose, *size, colours.get(time), depths.get(time))
 
     def points(self) -> Iterator[Points]:
-        for time, data in self.messages.get("/points", ()):
-            if len(data) % POINT.itemsize:
-                raise EpisodeError(f"{self.path}: /points at {time:.3f} s is no whole number of points")
-            cloud = np.frombuffer(data, POINT)
+        for time, message in self.messages.get("/points", ()):
+            with self._sense("/points", time):
+                cloud = np.frombuffer(ros_messages.cloud_data(message), POINT)
             yield Points(time, cloud["xyz"], cloud["rgb"])
 
     def _read(self, topic: str) -> Iterator[tuple[float, dict[str, Any]]]:
