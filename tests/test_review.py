@@ -200,6 +200,24 @@ def test_a_torn_recording_is_drawn_up_to_the_tear(episode, tmp_path, caplog):
     assert "is not whole" in caplog.text
 
 
+def test_a_torn_recording_is_mended_for_every_reader(episode, tmp_path, capsys):
+    from mcap.reader import make_reader
+
+    torn, mended = tmp_path / "torn.mcap", tmp_path / "mended.mcap"
+    data = episode.read_bytes()
+    torn.write_bytes(data[: int(0.6 * len(data))])
+    review(ReviewConfig(episode=torn, mend=mended))
+    shown = capsys.readouterr().out
+    assert f"of {torn.stat().st_size} bytes are whole, with " in shown and "holds the first" in shown
+    before, after = read_episode(torn), read_episode(mended)
+    assert after.damage is None and after.messages == before.messages
+    with mended.open("rb") as file:
+        count = sum(1 for _ in make_reader(file).iter_messages())
+    assert count == sum(map(len, before.messages.values())) > 100
+    with pytest.raises(EpisodeError, match="File exists"):
+        review(ReviewConfig(episode=torn, mend=mended))
+
+
 def test_a_recording_with_nothing_but_meta(tmp_path):
     path = tmp_path / "e.mcap"
     meta = EpisodeMeta.of(load_rig(), library_hash="", domain="", scenario="", goal="", seed=0, backend="sim")

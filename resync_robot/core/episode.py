@@ -35,23 +35,19 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-import zstandard
 from jaxtyping import Float, UInt8
-from mcap.records import Channel, Chunk, Footer, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Channel, Message
 
 from resync_robot.core import ros_messages
 from resync_robot.core.errors import EpisodeError, ResyncError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
+from resync_robot.core.mcap_file import read_whole, write_whole
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import TYPES
 
 FORMAT = 2
 """1 had pictures as plain JPEG, and nothing of ROS 2."""
-MAX_CHUNK_BYTES = 256 * 2**20
-"""A chunk that claims to unpack to more is taken for damage; one picture is far below."""
-
 FRAMES = {
     "world": "z up, origin on the table; world_T_base in the rig places the arm",
     "base": "Denavit-Hartenberg base of the arm",
@@ -197,28 +193,18 @@ def read_episode(path: Path) -> Episode:
         EpisodeError: no such file, no MCAP, no recording of this program, or of another format version.
     """
     messages: dict[str, list[tuple[float, bytes]]] = {}
-    damage: str | None = "the file ends early"
     try:
-        with path.open("rb") as file:
-            reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size)
-            topics: dict[int, str] = {}
-            try:
-                for record in reader.records:
-                    for inner in _unpack(record) if isinstance(record, Chunk) else (record,):
-                        if isinstance(inner, Channel):
-                            topics[inner.id] = inner.topic
-                        elif isinstance(inner, Message):
-                            messages.setdefault(topics[inner.channel_id], []).append((inner.log_time / 1e9, inner.data))
-                    if isinstance(record, Footer):
-                        damage = None
-            # The decoders are handed a file from anywhere and promise no list of exceptions; what they raise means
-            # that the file is not whole from here on.
-            except Exception as error:
-                damage = f"{type(error).__name__} after {sum(map(len, messages.values()))} messages"
+        whole = read_whole(path)
     except OSError as error:
         raise EpisodeError(f"cannot read the recording {path}: {error.strerror}", "give a file *.mcap") from None
+    topics: dict[int, str] = {}
+    for record in whole.records:
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message) and record.channel_id in topics:
+            messages.setdefault(topics[record.channel_id], []).append((record.log_time / 1e9, record.data))
     if not messages.get("/meta"):
-        reason = damage or "it has no channel /meta"
+        reason = whole.damage or "it has no channel /meta"
         raise EpisodeError(f"{path} is no recording of this program, or torn at its start: {reason}")
     content = _parse(path, "/meta", messages["/meta"][0][1])
     if content.pop("format", None) != FORMAT:
@@ -227,7 +213,7 @@ def read_episode(path: Path) -> Episode:
         meta = EpisodeMeta(**content)
     except TypeError as error:
         raise EpisodeError(f"{path}: /meta is incomplete: {error}") from None
-    return Episode(path, meta, damage, messages)
+    return Episode(path, meta, whole.damage, messages)
 
 
 @dataclass(frozen=True)
@@ -236,7 +222,7 @@ class Episode:
     sense.
 
     Attributes:
-        damage: None for a whole file, else what is wrong with its end.
+        damage: None for a whole file, else what is wrong with its end, and how much is whole.
         messages: topic -> (time in s, raw message).
     """
 
@@ -349,16 +335,6 @@ class _Sense:
             raise EpisodeError(f"{self._what}: {error}") from None
 
 
-def _unpack(chunk: Chunk) -> list[Schema | Channel | Message]:
-    """Records of a chunk, refusing one that would fill the memory."""
-    size = chunk.uncompressed_size
-    if chunk.compression == "zstd":
-        size = max(size, zstandard.frame_content_size(chunk.data))
-    if size > MAX_CHUNK_BYTES or chunk.compression not in ("zstd", ""):
-        raise ValueError(f"a chunk of {size} bytes, compression '{chunk.compression}'")
-    return breakup_chunk(chunk, validate_crc=True)
-
-
 def _parse(path: Path, topic: str, data: bytes) -> dict[str, Any]:
     try:
         content = json.loads(data)
@@ -376,3 +352,17 @@ def _number(value: Any) -> float:
 def _vector(value: Any, *shape: int) -> np.ndarray:
     """An array of the given shape; null becomes NaN. Raises ValueError or TypeError."""
     return np.array(value, dtype=np.float64).reshape(shape)
+
+
+def mend_episode(path: Path, out: Path) -> Episode:
+    """Copy what is whole of a torn recording to `out`, which every reader takes; the copy.
+
+    Raises:
+        EpisodeError: as `read_episode`, or `out` exists or cannot be written.
+    """
+    read_episode(path)
+    try:
+        write_whole(read_whole(path).records, out)
+    except OSError as error:
+        raise EpisodeError(f"cannot write {out}: {error.strerror}", "give another file with --mend") from None
+    return read_episode(out)

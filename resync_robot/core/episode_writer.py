@@ -25,12 +25,13 @@ from mcap.writer import CompressionType, Writer
 
 from resync_robot.core import kinematics, ros_messages
 from resync_robot.core.episode import FORMAT, POINT, EpisodeMeta, EventKind, Timing, plain
+from resync_robot.core.episode_schemas import SCHEMAS
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
+from resync_robot.core.mcap_file import CHUNK_BYTES
 from resync_robot.core.state import State
 from resync_robot.core.world import CameraFrame
 
-CHUNK_BYTES = 128 * 1024
 FLUSH_S = 1.0
 MOST_WAITING = 20_000
 """Messages in memory at which the disk is given up as too slow; minutes of them."""
@@ -286,7 +287,7 @@ class EpisodeWriter:
         if kind == "json":
             name = topic.rsplit("/", 1)[-1]
             schema = self._writer.register_schema(
-                f"resync_robot.{name}", "jsonschema", json.dumps(_SCHEMAS[name]).encode()
+                f"resync_robot.{name}", "jsonschema", json.dumps(SCHEMAS[name]).encode()
             )
             return self._writer.register_channel(topic, "json", schema)
         if kind not in self._schemas:
@@ -299,37 +300,3 @@ class EpisodeWriter:
             return
         self.error = EpisodeError(f"the recording {self.path} stopped: {error}", "free disk space, or record elsewhere")
         _log.error("%s", self.error)
-
-
-def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "properties": properties, "required": sorted(properties)}
-
-
-def _array(items: Any, length: int | None = None) -> dict[str, Any]:
-    bounds = {} if length is None else {"minItems": length, "maxItems": length}
-    return {"type": "array", "items": items, **bounds}
-
-
-_TEXT, _ANY, _NUMBER, _COUNT = {"type": "string"}, {"type": "object"}, {"type": ["number", "null"]}, {"type": "integer"}
-_SIX, _OBJECTS = _array(_NUMBER, 6), _object(objects=_ANY)
-_SCHEMAS = {
-    "meta": _object(
-        format=_COUNT, rig_hash=_TEXT, rig=_ANY, library_hash=_TEXT, domain=_TEXT, scenario=_TEXT, goal=_TEXT,
-        seed=_COUNT, backend=_TEXT, versions=_ANY, frames=_ANY,
-    ),
-    "joints": _object(
-        measured=_SIX, velocity=_SIX, opening=_NUMBER, sent=_SIX, sent_opening=_NUMBER, requested=_SIX,
-        requested_opening=_NUMBER,
-    ),
-    "tip_force": _object(force=_array(_NUMBER, 3)),
-    "state": _OBJECTS,
-    "truth": _OBJECTS,
-    "atoms": _object(atoms={"type": "object", "additionalProperties": _NUMBER}),
-    "plan": _object(steps=_array(_TEXT), current={"type": ["integer", "null"]}, reason=_TEXT),
-    "timing": _object(picture=_NUMBER, asked=_NUMBER, due=_NUMBER, computed=_NUMBER),
-    "event": _object(kind=_TEXT, text=_TEXT, details=_ANY),
-    "info": _object(
-        intrinsics=_array(_array(_NUMBER, 3), 3), world_T_cam=_array(_array(_NUMBER, 4), 4), width=_COUNT,
-        height=_COUNT, depth_unit_m=_NUMBER,
-    ),
-}  # fmt: skip
