@@ -40,7 +40,8 @@ UNLOCK_AFTER_S = 5.5
 INSTALL = "uv pip install -e '.[hardware]' -c constraints.txt"
 SAFETY_NAMES = {
     2: "REDUCED", 3: "PROTECTIVE_STOP", 4: "RECOVERY", 5: "SAFEGUARD_STOP", 6: "SYSTEM_EMERGENCY_STOP",
-    7: "ROBOT_EMERGENCY_STOP", 8: "VIOLATION", 9: "FAULT",
+    7: "ROBOT_EMERGENCY_STOP", 8: "VIOLATION", 9: "FAULT", 10: "AUTOMATIC_MODE_SAFEGUARD_STOP",
+    11: "SYSTEM_THREE_POSITION_ENABLING_STOP",
 }  # fmt: skip
 
 
@@ -212,7 +213,12 @@ class Ur7e(Connected):
             if dashboard.safety() == "PROTECTIVE_STOP":
                 dashboard.unlock_protective_stop()
             deadline = time.monotonic() + 3.0
-            while dashboard.safety() == "PROTECTIVE_STOP" and time.monotonic() < deadline:
+            while dashboard.safety() == "PROTECTIVE_STOP":
+                if time.monotonic() > deadline:
+                    raise ProtectiveStopError(
+                        "the controller says that it releases the protective stop, and stays locked",
+                        "release it on the teach pendant, and start again",
+                    )
                 time.sleep(0.05)
         self.connect()
 

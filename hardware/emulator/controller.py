@@ -46,6 +46,8 @@ class SafetyMode(enum.IntEnum):
     ROBOT_EMERGENCY_STOP = 7
     VIOLATION = 8
     FAULT = 9
+    AUTOMATIC_MODE_SAFEGUARD_STOP = 10
+    SYSTEM_THREE_POSITION_ENABLING_STOP = 11
 
 
 STATUS_BIT = {
@@ -58,9 +60,18 @@ STATUS_BIT = {
     SafetyMode.ROBOT_EMERGENCY_STOP: 6,
     SafetyMode.VIOLATION: 8,
     SafetyMode.FAULT: 9,
+    SafetyMode.AUTOMATIC_MODE_SAFEGUARD_STOP: 4,
+    SafetyMode.SYSTEM_THREE_POSITION_ENABLING_STOP: 10,
 }
 MOVES = (SafetyMode.NORMAL, SafetyMode.REDUCED)
-POWERED = (*MOVES, SafetyMode.PROTECTIVE_STOP, SafetyMode.RECOVERY, SafetyMode.SAFEGUARD_STOP)
+POWERED = (
+    *MOVES,
+    SafetyMode.PROTECTIVE_STOP,
+    SafetyMode.RECOVERY,
+    SafetyMode.SAFEGUARD_STOP,
+    SafetyMode.AUTOMATIC_MODE_SAFEGUARD_STOP,
+    SafetyMode.SYSTEM_THREE_POSITION_ENABLING_STOP,
+)
 
 
 class Runtime(enum.IntEnum):
