@@ -148,6 +148,12 @@ class Ur7e(Connected):
         """How often a setpoint went out more than a tick late, since connecting."""
         return int(self._require_link().words["late_ticks"])
 
+    def sent_at(self) -> Float[np.ndarray, " n"]:
+        """When each of the last setpoints went out, s of the host's monotonic clock; 65 s of them at most."""
+        w = self._require_link().words
+        sent = int(w["sent"])
+        return w["sent_at"][np.arange(max(0, sent - RING), sent) % RING]
+
     def due(self) -> float:
         """See `RealtimeRobot`."""
         w = self._require_link().words

@@ -159,6 +159,7 @@ class Link:
                     return Fault.DRIVER_GONE
             if q is not None:
                 w["due"], kick = due, due + KICK_S
+                w["sent_at"][int(w["sent"]) % RING] = time.monotonic()
                 w["sent"] += 1
                 if not self.control.servoJ(q.tolist(), 0.0, 0.0, PERIOD, LOOKAHEAD, GAIN):
                     return Fault.STOPPED if clock.isConnected() else Fault.LINK_LOST
