@@ -17,6 +17,7 @@ import numpy as np
 from hardware.base import Connected, RobotError
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import TYPES
+from resync_robot.core.world import Window
 
 PORT = 30910
 MAX_LINE = 1 << 20
@@ -67,6 +68,14 @@ class LabClient(Connected):
         colour = np.frombuffer(body, np.uint8, height * width * 3).reshape(height, width, 3)
         depth = np.frombuffer(body, "<u2", height * width, height * width * 3).reshape(height, width)
         return float(head["time"]), colour, depth
+
+    def window(self, camera: str, window: Window, size: int) -> tuple[float, np.ndarray]:
+        """Time on the controller's clock (s), and (size, size, 3) uint8 RGB of a part of a picture, with all noise."""
+        sides = [window.left, window.top, window.width, window.height]
+        head, body = self.ask({"do": "picture", "camera": camera, "window": sides, "size": size})
+        if len(body) != size * size * 3:
+            raise RobotError(f"the emulated camera '{camera}' sent {len(body)} bytes for {size} x {size} pixels")
+        return float(head["time"]), np.frombuffer(body, np.uint8).reshape(size, size, 3)
 
     def ask(self, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
         """The answer, and the bytes that follow it, for any thread. Raises RobotError with the lab's own words."""
