@@ -17,6 +17,8 @@ RING = 1 << 15
 """Setpoints; 65 s."""
 STOPS = 4
 LONGEST_STOP = 4096
+NOT_STARTED = 1
+"""Exit code of a link that has uploaded nothing."""
 JOINTS = ("f8", 6)
 
 SNAPSHOT = np.dtype(
@@ -38,7 +40,7 @@ LAYOUT = np.dtype(
     [
         ("write", "i8"), ("epoch", "i8"), ("finish", "i8"),  # written by the driver
         ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("fault", "i8"),
-        ("due", "f8"), ("sent", "i8"), ("late_ticks", "i8"), ("sequence", "i8"), ("snapshot", SNAPSHOT),
+        ("sent", "i8"), ("late_ticks", "i8"), ("sequence", "i8"), ("snapshot", SNAPSHOT),
         ("sent_at", "f8", RING), ("ring", "f8", (RING, 6)), ("tags", "i8", RING), ("stops", STOP, STOPS),
     ]
 )  # fmt: skip

@@ -270,7 +270,7 @@ def _episode(
 
         world = kind(
             devices.robot, devices.cameras, rig, task.objects, devices.truth, recorder.on_scan, on_stop,
-            recorder.on_timing,
+            recorder.on_look, recorder.on_timing,
         )  # fmt: skip
         world.stream.recorders.append(recorder.on_stream)
 

@@ -44,6 +44,7 @@ class DeployedWorld:
             deployment has none, and such a skill then raises PerceptionError. The simulated backend may hand in the
             simulator's state, and says so.
         on_scan: called with the pictures and the estimate of every scan.
+        on_look: called with every part of a picture that a skill looks at while it moves.
         on_timing: called with when each target was asked for and sent, and how old the pictures were behind it.
         on_stop: called when the robot has made a protective stop; it asks a person, and returns when the robot may
             go on, or raises. Without it a protective stop ends the episode.
@@ -58,9 +59,10 @@ class DeployedWorld:
         live_state: Callable[[], State] | None = None,
         on_scan: Scanned | None = None,
         on_stop: Callable[[ProtectiveStopError], None] | None = None,
+        on_look: Callable[[Cutout], None] | None = None,
         on_timing: Callable[[Timing], None] | None = None,
     ) -> None:
-        self._on_stop, self._on_timing = on_stop, on_timing
+        self._on_stop, self._on_look, self._on_timing = on_stop, on_look, on_timing
         self._looked: list[float] = []
         self.robot, self.rig, self._cameras = robot, rig, cameras
         self.stream = Stream(robot, rig)
@@ -108,6 +110,8 @@ class DeployedWorld:
         else:
             seen = cut_out(camera.capture(), self.rig.camera(name), window, size)
         self._looked.append(seen.time)
+        if self._on_look:
+            self._on_look(seen)
         return seen
 
     def act(self, target: JointTarget, duration: float) -> None:

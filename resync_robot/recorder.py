@@ -16,7 +16,7 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import GroundSkill, Outcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, GroundOperator
-from resync_robot.core.world import CameraFrame, Observation
+from resync_robot.core.world import CameraFrame, Cutout, Observation
 from resync_robot.planning.execute import End, Listener
 from resync_robot.planning.search import Plan
 
@@ -75,6 +75,17 @@ class Recorder(Listener):
                 self._writer.truth(self._clock(), self._truth())
         except ResyncError as error:
             _log.warning("a look around is missing from the recording: %s", error.what)
+
+    def on_look(self, part: Cutout) -> None:
+        """What a skill looked at while it moved; bit by bit, for a replay."""
+
+        def encode() -> None:
+            _, png = cv2.imencode(
+                ".png", cv2.cvtColor(part.colour, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 1]
+            )
+            self._writer.window(part.name, part.time, png.tobytes())
+
+        self._writer.defer(encode)
 
     def on_timing(self, timing: Timing) -> None:
         self._writer.timing(timing)

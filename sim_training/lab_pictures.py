@@ -37,6 +37,8 @@ class Pictures:
             self._rng = np.random.default_rng(task.seed)
             self._sensors = {c.name: NoisySensor(task.seed * 10 + i, c) for i, c in enumerate(self._rig.cameras)}
             self._errors: dict[str, np.ndarray] = {}
+            # The first picture of a process takes half a minute where the processor draws: no robot shall wait for it.
+            self._world.render(self._rig.cameras[0].name)
             return {}, b""
         return self._picture(request)
 

@@ -22,8 +22,8 @@ from resync_robot.core.world import Window
 PORT = 30910
 MAX_LINE = 1 << 20
 MAX_PICTURE = 1 << 26
-TIMEOUT_S = 60.0
-"""A scene takes seconds to build, a picture of a software renderer up to one."""
+TIMEOUT_S = 120.0
+"""A scene and its first picture take half a minute where the processor draws and is busy, others up to a second."""
 
 
 class LabClient(Connected):

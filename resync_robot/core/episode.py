@@ -13,9 +13,10 @@
 | /timing | of each target: exposure of what it was decided on, asked, first setpoint due, seconds of computing |
 | /camera/NAME/info | intrinsics and pose |
 | /camera/NAME/{colour,depth} | sensor_msgs/CompressedImage: JPEG, and 16-bit PNG (unit 1e-4 m, 0 = nothing) |
+| /camera/NAME/window | the same as PNG: the parts that a skill looked at while it moved |
 | /points | sensor_msgs/PointCloud2: fused cloud in the world, x y z in m, r g b |
 
-JSON but for the last two. The same once more as messages of ROS 2, for Foxglove, Rerun and whatever else reads them:
+JSON but for the last three. The same once more as messages of ROS 2, for Foxglove, Rerun and whatever else reads them:
 /joint_states, /joint_commands, /tf, /wrench, /camera/NAME/{camera_info,depth_mm}, /plan_text, /atoms_text, /rosout,
 /latency.
 
@@ -298,6 +299,14 @@ class Episode:
                 intrinsics, pose = _vector(m["intrinsics"], 3, 3), _vector(m["world_T_cam"], 4, 4)
                 size = int(m["width"]), int(m["height"])
             yield Picture(time, camera, intrinsics, pose, *size, colours.get(time), depths.get(time))
+
+    def windows(self, camera: str) -> Iterator[tuple[float, bytes]]:
+        """Time and PNG of each part of a picture that a skill looked at."""
+        topic = f"/camera/{camera}/window"
+        for time, message in self.messages.get(topic, ()):
+            with self._sense(topic, time):
+                data = ros_messages.image_data(message)
+            yield time, data
 
     def points(self) -> Iterator[Points]:
         for time, message in self.messages.get("/points", ()):

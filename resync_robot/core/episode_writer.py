@@ -181,6 +181,11 @@ class EpisodeWriter:
 
         self.defer(draw)
 
+    def window(self, camera: str, time: float, png: bytes) -> None:
+        """A part of a picture that a skill looked at, as PNG."""
+        pack = partial(ros_messages.compressed_image, time, f"camera_{camera}", "png", png)
+        self._ros(f"/camera/{camera}/window", "sensor_msgs/msg/CompressedImage", time, pack)
+
     def points(self, time: float, xyz: Float[np.ndarray, "n 3"], rgb: UInt8[np.ndarray, "n 3"]) -> None:
         """A point cloud in the world frame, m; thin it before (10,000 points are 150 kB)."""
         cloud = np.empty(len(xyz), POINT)

@@ -105,8 +105,8 @@ def test_a_controller_that_sends_nonsense_to_the_link_is_one_error(seed: int) ->
         rig = emulators.rig_at(machine.address)
         robot = Ur7e(rig, Robotiq(machine.address))
         with robot:
-            process = robot._process
-            assert process is not None
+            assert robot._link is not None
+            process = robot._link.process
             machine.call(lambda: babble(machine, rng))
             deadline = time.monotonic() + 8.0
             with pytest.raises(RobotError):

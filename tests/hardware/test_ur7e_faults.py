@@ -77,6 +77,11 @@ def during_motion(robot: Ur7e, rig: Rig, happen: Callable[[], object]) -> BaseEx
     return caught.value
 
 
+def link_of(robot: Ur7e) -> subprocess.Popen[bytes]:
+    assert robot._link is not None
+    return robot._link.process
+
+
 def is_still(machine: Emulator) -> bool:
     return bool(np.abs(machine.controller.velocity).max() < 1e-9)
 
@@ -257,8 +262,7 @@ def test_a_frozen_controller_is_noticed(machine: Emulator, robot: Ur7e, rig: Rig
 
 def test_a_controller_that_is_switched_off_is_one_error_and_no_zombie(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
     with robot:
-        process = robot._process
-        assert process is not None
+        process = link_of(robot)
         began = time.monotonic()
         error = during_motion(robot, rig, machine.close)
         assert isinstance(error, StaleError)
@@ -270,8 +274,7 @@ def test_a_controller_that_is_switched_off_is_one_error_and_no_zombie(machine: E
 
 def test_a_dropped_link_is_one_error_one_upload_and_no_zombie(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
     with robot:
-        process = robot._process
-        assert process is not None
+        process = link_of(robot)
         error = during_motion(robot, rig, lambda: machine.call(machine.drop_link))
         assert isinstance(error, StaleError)
         assert wait_for(lambda: machine.controller.program is None)
@@ -284,8 +287,7 @@ def test_a_dropped_link_is_one_error_one_upload_and_no_zombie(machine: Emulator,
 
 def test_a_killed_link_process_is_noticed(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
     with robot:
-        process = robot._process
-        assert process is not None
+        process = link_of(robot)
         error = during_motion(robot, rig, lambda: process.send_signal(signal.SIGSEGV))
         assert "SIGSEGV" in str(error)
         assert wait_for(lambda: is_still(machine) and machine.controller.program is None)
@@ -307,7 +309,7 @@ with Ur7e(rig, Robotiq(sys.argv[1])) as robot:
         q[0] += 0.2 * np.sin(0.04 * k)
         stream.run(JointTarget(q, 0.1), 0.02)
         if k == 20:
-            print("moving", robot._process.pid, flush=True)
+            print("moving", robot._link.process.pid, flush=True)
 """
 
 
@@ -335,9 +337,13 @@ def test_a_killed_client_leaves_the_robot_stopped(machine: Emulator, link_too: b
 
 
 def test_only_one_program_controls_the_robot(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
-    with robot, pytest.raises(RobotError, match=r"another program controls|no control of"):
-        Ur7e(rig, Robotiq(machine.address)).connect()
-    assert machine.controller.uploads == 1
+    """And whoever is refused leaves the other one's program alone."""
+    with robot:
+        with pytest.raises(RobotError, match=r"another program controls|no control of"):
+            Ur7e(rig, Robotiq(machine.address)).connect()
+        assert machine.controller.uploads == 1
+        assert machine.controller.program is not None
+        robot.servo(robot.state().q, 0.1)
 
 
 def test_payload_and_tcp_are_set_and_verified(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
