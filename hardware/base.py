@@ -24,11 +24,15 @@ class RobotError(ResyncError):
 
 
 class StaleError(RobotError):
-    """The controller has stopped talking: what it last said is too old to move by."""
+    """The controller or a camera has fallen silent: what it last said is too old to move by."""
 
 
 class ProtectiveStopError(RobotError):
     """The controller stopped by itself. A person looks why, and acknowledges, before anything moves again."""
+
+
+class SkewError(RobotError):
+    """Depth and colour of a camera were not exposed together: they show two different moments."""
 
 
 class StarvedError(RobotError):
@@ -48,8 +52,8 @@ class SafetyError(MotionError):
 
     Attributes:
         quantity: what was violated: 'shape', 'finite', 'position', 'jump', 'velocity', 'acceleration', 'jerk',
-            'opening', 'opening speed', 'floor' or 'force'.
-        joint: name of the joint, or 'gripper', 'tip', 'flange'.
+            'opening', 'opening speed', 'floor', 'clearance', 'workspace', 'tip speed' or 'force'.
+        joint: name of the joint, or 'gripper', 'tip', 'flange', or the part of the arm that comes too near.
         value, limit: what was asked and what is allowed, SI units.
     """
 
@@ -139,6 +143,10 @@ class RealtimeRobot(Robot, Protocol):
 
         Raises RobotError when the slider stands at zero.
         """
+        ...
+
+    def due(self) -> float:
+        """When the next setpoint that is handed over will go out, s on the robot's clock."""
         ...
 
     def play(

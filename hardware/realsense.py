@@ -1,146 +1,57 @@
 """D435i cameras by serial number, through pyrealsense2.
 
-A picture is one that was exposed after it was asked for, its depth filtered in disparity and aligned to its colour,
-with the intrinsics that the device itself reports.
+A thread for each camera keeps its newest picture. A whole picture is one that was exposed after it was asked for, its
+depth filtered in disparity and aligned to its colour, with the intrinsics that the device itself reports. A part of a
+picture, for a skill that looks while it moves, is cut at once from the newest.
 """
 
 from __future__ import annotations
 
-import ctypes
-import importlib
-import importlib.util
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
-from hardware.base import Connected, RobotError, StaleError
+from hardware.base import Connected, RobotError, SkewError, StaleError
+from hardware.crop import crop
+from hardware.realsense_device import FrameSource, PipelineSource, Stream, load_pyrealsense2
 from resync_robot.core.rig import CameraRig
-from resync_robot.core.world import CameraFrame
+from resync_robot.core.world import CameraFrame, Cutout, Window
 
-DEPTH_SIZE = (848, 480)
-"""Pixels; the width at which the D435i measures best."""
-RATE_HZ = 30
 WARM_UP_FRAMES = 30
 """Until exposure and white balance have settled."""
 STALL_S = 1.0
+"""Without a usable picture for so long, a whole picture is given up."""
+FRESH_S = 0.1
+"""The oldest that a part of a picture may be: three frames. As long is waited for one that is younger."""
+POLL_S = 0.1
 MOST_SKEW_S = 0.020
 """Between depth and colour of one picture; more, and one of the two streams lost a frame."""
-INSTALL = "uv pip install -e '.[hardware]' -c constraints.txt"
 
 
-@dataclass(frozen=True)
-class Stream:
-    """What a started source delivers: `intrinsics` (3, 3) px of the colour, `depth_unit` m, `size` (width, height)."""
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """Attributes: the `frames`, when they were `exposed` (s since the epoch) and when they `arrived` (s, monotonic)."""
 
-    intrinsics: Float[np.ndarray, "3 3"]
-    depth_unit: float
-    size: tuple[int, int]
-
-
-class FrameSource(Protocol):
-    """Where pairs of depth and colour come from: a device's pipeline, a recording, or a software device."""
-
-    def start(self) -> Stream:
-        """Raises RobotError when the device is not there."""
-        ...
-
-    def wait(self, seconds: float) -> Any:
-        """The next pyrealsense2 frameset, or None when none came in time."""
-        ...
-
-    def stop(self) -> None: ...
-
-
-def load_pyrealsense2() -> ModuleType:
-    """The library. Raises RobotError with the command that installs it, or what it lacks."""
-    if importlib.util.find_spec("pyrealsense2") is None:
-        raise RobotError("the package pyrealsense2 is not installed", INSTALL)
-    if importlib.util.find_spec("libusb_package") is not None:
-        # Its wheel links to the system's libusb; this makes pip's copy known under the same name.
-        library = importlib.import_module("libusb_package").get_library_path()
-        ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
-    try:
-        import pyrealsense2
-    except ImportError as error:
-        raise RobotError(f"pyrealsense2 does not load: {error}", "sudo apt-get install libusb-1.0-0") from None
-    return pyrealsense2
-
-
-class PipelineSource:
-    """A connected camera by its serial number, or a recording of one.
-
-    Args:
-        serial: as printed on the camera and as `rs-enumerate-devices` says.
-        colour_size: (width, height) px of the rig's camera.
-        recording: a file to play instead, as fast as it is read.
-    """
-
-    def __init__(self, serial: str, colour_size: tuple[int, int], recording: Path | None = None) -> None:
-        self._serial, self._size, self._recording = serial, colour_size, recording
-        self._pipeline: Any = None
-
-    def start(self) -> Stream:
-        rs = load_pyrealsense2()
-        config = rs.config()
-        if self._recording is None:
-            found = [d.get_info(rs.camera_info.serial_number) for d in rs.context().query_devices()]
-            if self._serial not in found:
-                there = ", ".join(sorted(found)) or "none"
-                raise RobotError(
-                    f"no camera with serial number {self._serial}; connected: {there}",
-                    "check its USB 3 cable, and the serial in the rig file",
-                )
-            config.enable_device(self._serial)
-            config.enable_stream(rs.stream.depth, *DEPTH_SIZE, rs.format.z16, RATE_HZ)
-            config.enable_stream(rs.stream.color, *self._size, rs.format.rgb8, RATE_HZ)
-        else:
-            config.enable_device_from_file(str(self._recording), False)
-        pipeline = rs.pipeline()
-        try:
-            profile = pipeline.start(config)
-        except RuntimeError as error:
-            raise RobotError(
-                f"camera {self._serial} does not start: {error}", "unplug it and plug it in again"
-            ) from None
-        self._pipeline = pipeline
-        device = profile.get_device()
-        if self._recording is not None:
-            device.as_playback().set_real_time(False)
-        for sensor in device.query_sensors():
-            if sensor.supports(rs.option.global_time_enabled):
-                sensor.set_option(rs.option.global_time_enabled, 1)
-        colour = profile.get_stream(rs.stream.color).as_video_stream_profile()
-        scale = 0.001
-        for sensor in device.query_sensors():
-            if sensor.supports(rs.option.depth_units):
-                scale = float(sensor.get_option(rs.option.depth_units))
-        return Stream(matrix_of(colour.get_intrinsics()), scale, (colour.width(), colour.height()))
-
-    def wait(self, seconds: float) -> Any:
-        arrived, frames = self._pipeline.try_wait_for_frames(max(1, round(1000 * seconds)))
-        return frames if arrived else None
-
-    def stop(self) -> None:
-        if self._pipeline is not None:
-            self._pipeline.stop()
-            self._pipeline = None
+    frames: Any
+    exposed: float
+    arrived: float
 
 
 class RealSense(Connected):
-    """One camera of the rig.
+    """One camera of the rig; a `WindowedCamera`. Its methods may be called from any thread.
 
     Args:
         camera: name, serial number, mounting and calibrated intrinsics.
         world_T_cam: where the camera is now, (4, 4), from the rig and the arm.
         source: of frames; default: the device with that serial number.
+        clock: s on the robot's clock now, in which the pictures' times are told.
         warm_up: frames that are thrown away first.
-        fresh: demand pictures exposed after they were asked for; a recording has none.
+        fresh: go by the time of exposure; a recording's lies in the past, and so its time of arrival counts.
     """
 
     def __init__(
@@ -148,29 +59,39 @@ class RealSense(Connected):
         camera: CameraRig,
         world_T_cam: Callable[[], Float[np.ndarray, "4 4"]],
         source: FrameSource | None = None,
+        clock: Callable[[], float] = time.time,
         warm_up: int = WARM_UP_FRAMES,
         fresh: bool = True,
     ) -> None:
         self.name = camera.name
-        self._camera, self._world_T_cam = camera, world_T_cam
+        self._camera, self._world_T_cam, self._clock = camera, world_T_cam, clock
         self._source = source or PipelineSource(camera.serial, (camera.width, camera.height))
         self._warm_up, self._fresh = warm_up, fresh
         self._stream: Stream | None = None
         self._filters: list[Any] = []
         self._align: Any = None
+        self._filtering = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._news = threading.Condition()
+        self._newest: _Pair | None = None
+        self._complaint: RobotError | None = None
+        self._complained = 0.0
+        self._gone: RobotError | None = None
+        self._closing = False
         self.dropped = 0
-        """Framesets that could not be used: too old, torn, or skewed."""
+        """Framesets that could not be used: torn or skewed."""
 
     def connect(self) -> None:
         """Start it, and let it warm up.
 
         Raises:
-            RobotError: no such camera, it does not start, or delivers other pictures than the rig says.
+            RobotError: no such camera, it does not start, delivers other pictures than the rig says, or goes by
+                another clock than this computer's.
             StaleError: no pictures come.
         """
         rs = load_pyrealsense2()
         stream = self._source.start()
-        self._stream = stream
+        self._stream, self._newest, self._gone, self._closing = stream, None, None, False
         try:
             expected = (self._camera.width, self._camera.height)
             if stream.size != expected:
@@ -182,12 +103,29 @@ class RealSense(Connected):
             threshold = rs.disparity_transform(True), rs.spatial_filter(), rs.disparity_transform(False)
             self._filters, self._align = list(threshold), rs.align(rs.stream.color)
             for _ in range(self._warm_up):
-                self._next(time.monotonic() + STALL_S)
+                frames = self._source.wait(STALL_S)
+                if frames is None:
+                    raise self._stale("no picture came", STALL_S)
+            if (
+                self._warm_up
+                and self._fresh
+                and frames.get_frame_timestamp_domain() == rs.timestamp_domain.hardware_clock
+            ):
+                raise RobotError(
+                    f"camera '{self.name}' ({self._camera.serial}) tells times of a clock of its own",
+                    "update its firmware and driver: global time must be supported",
+                )
+            self._thread = threading.Thread(target=self._watch, name=f"camera {self.name}", daemon=True)
+            self._thread.start()
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
+        self._closing = True
+        if self._thread is not None:
+            self._thread.join(STALL_S + POLL_S)
+            self._thread = None
         if self._stream is not None:
             self._stream = None
             self._source.stop()
@@ -196,42 +134,97 @@ class RealSense(Connected):
         """A picture exposed after this call.
 
         Raises:
-            StaleError: none comes, only old ones come, or depth and colour do not fit in time.
+            StaleError: none comes, or only old ones come.
+            SkewError: depth and colour do not fit in time.
         """
-        stream = self._require_stream()
-        asked, deadline = 1000 * time.time(), time.monotonic() + STALL_S
-        why = "no picture came"
-        while True:
-            frames = self._next(deadline, why)
-            depth, colour = frames.get_depth_frame(), frames.get_color_frame()
-            if not depth or not colour:
-                self.dropped, why = self.dropped + 1, "depth or colour is missing in every one"
-                continue
-            if self._fresh and min(depth.get_timestamp(), colour.get_timestamp()) < asked:
-                self.dropped, why = self.dropped + 1, "every one is older than the request"
-                continue
-            skew = abs(depth.get_timestamp() - colour.get_timestamp()) / 1000
-            if skew > MOST_SKEW_S:
-                self.dropped, why = self.dropped + 1, f"depth and colour are {1000 * skew:.0f} ms apart"
-                continue
-            break
+        stream, asked, now = self._require_stream(), time.time(), time.monotonic()
+        pair = self._wait(lambda p: p.arrived > now and (not self._fresh or p.exposed >= asked), STALL_S)
         pose = np.array(self._world_T_cam())
-        for step in self._filters:
-            frames = step.process(frames).as_frameset()
-        frames = self._align.process(frames)
+        frames = pair.frames
+        with self._filtering:
+            for step in self._filters:
+                frames = step.process(frames).as_frameset()
+            frames = self._align.process(frames)
         metres = np.asanyarray(frames.get_depth_frame().get_data()).astype(np.float64) * stream.depth_unit
-        depth_out = np.clip(metres / CameraFrame.DEPTH_UNIT_M + 0.5, 0, 65535).astype(np.uint16)
-        picture = np.array(np.asanyarray(frames.get_color_frame().get_data()))
-        return CameraFrame(self.name, picture, depth_out, stream.intrinsics, pose, colour.get_timestamp() / 1000)
+        depth = np.clip(metres / CameraFrame.DEPTH_UNIT_M + 0.5, 0, 65535).astype(np.uint16)
+        return CameraFrame(self.name, _colour(frames).copy(), depth, stream.intrinsics, pose, self._told(pair))
 
-    def _next(self, deadline: float, why: str = "no picture came") -> Any:
-        frames = self._source.wait(max(0.0, deadline - time.monotonic()))
-        if frames is None or time.monotonic() > deadline:
-            raise StaleError(
-                f"camera '{self.name}' ({self._camera.serial}) gave nothing usable for {STALL_S:.0f} s: {why}",
-                "check its cable; give each camera a USB controller of its own",
+    def cut_out(self, window: Window, size: int) -> Cutout:
+        """What lies in the window of the newest picture, no older than FRESH_S, scaled to (size, size).
+
+        Raises:
+            StaleError, SkewError: there is none so young, and none comes within FRESH_S.
+            PerceptionError: the window lies outside of the picture.
+        """
+        self._require_stream()
+        pair = self._wait(lambda p: self._age(p) <= FRESH_S, FRESH_S)
+        return Cutout(self.name, crop(_colour(pair.frames), window, size), self._told(pair))
+
+    def _age(self, pair: _Pair) -> float:
+        return time.time() - pair.exposed if self._fresh else time.monotonic() - pair.arrived
+
+    def _told(self, pair: _Pair) -> float:
+        return self._clock() - self._age(pair)
+
+    def _watch(self) -> None:
+        """Keep the newest pair, until closed."""
+        while not self._closing:
+            try:
+                frames = self._source.wait(POLL_S)
+            except RobotError as error:
+                with self._news:
+                    self._gone = error
+                    self._news.notify_all()
+                return
+            if frames is None:
+                continue
+            found = self._judge(frames)
+            with self._news:
+                if isinstance(found, _Pair):
+                    self._newest = found
+                else:
+                    self.dropped += 1
+                    self._complaint, self._complained = found, time.monotonic()
+                self._news.notify_all()
+
+    def _judge(self, frames: Any) -> _Pair | RobotError:
+        depth, colour = frames.get_depth_frame(), frames.get_color_frame()
+        if not depth or not colour:
+            return self._stale("depth or colour is missing in every one", STALL_S)
+        times = depth.get_timestamp() / 1000, colour.get_timestamp() / 1000
+        if abs(times[0] - times[1]) > MOST_SKEW_S:
+            return SkewError(
+                f"camera '{self.name}' ({self._camera.serial}): depth and colour were exposed "
+                f"{1000 * abs(times[0] - times[1]):.0f} ms apart; allowed: {1000 * MOST_SKEW_S:.0f} ms",
+                "give each camera a USB controller of its own",
             )
-        return frames
+        return _Pair(frames, min(times), time.monotonic())
+
+    def _wait(self, usable: Callable[[_Pair], bool], limit: float) -> _Pair:
+        """The newest pair once it is usable. Raises what speaks against it when `limit` s have passed."""
+        begin = time.monotonic()
+        with self._news:
+            while True:
+                if self._gone is not None:
+                    raise self._gone
+                newest = self._newest
+                if newest is not None and usable(newest):
+                    return newest
+                left = begin + limit - time.monotonic()
+                if left <= 0:
+                    break
+                self._news.wait(left)
+            if self._complaint is not None and self._complained >= begin:
+                raise self._complaint
+            if newest is None:
+                raise self._stale("no picture came", limit)
+            raise self._stale(f"the newest was exposed {self._age(newest):.2f} s ago", limit)
+
+    def _stale(self, why: str, limit: float) -> StaleError:
+        return StaleError(
+            f"camera '{self.name}' ({self._camera.serial}) gave nothing usable for {limit:.1f} s: {why}",
+            "check its cable; give each camera a USB controller of its own",
+        )
 
     def _require_stream(self) -> Stream:
         if self._stream is None:
@@ -239,7 +232,5 @@ class RealSense(Connected):
         return self._stream
 
 
-def matrix_of(intrinsics: Any) -> Float[np.ndarray, "3 3"]:
-    """The camera matrix (px) of pyrealsense2's intrinsics."""
-    i = intrinsics
-    return np.array([[i.fx, 0.0, i.ppx], [0.0, i.fy, i.ppy], [0.0, 0.0, 1.0]])
+def _colour(frames: Any) -> UInt8[np.ndarray, "h w 3"]:
+    return np.asanyarray(frames.get_color_frame().get_data())

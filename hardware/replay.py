@@ -17,7 +17,7 @@ from hardware.base import SERVO_PERIOD, Connected, GripperState, RobotError, Rob
 from resync_robot.core.episode import Episode, Joints, Picture
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.state import State
-from resync_robot.core.world import CameraFrame
+from resync_robot.core.world import CameraFrame, Cutout, Window
 
 HELD = 2e-3
 """m by which the recorded pads stood wider than asked for an object to have been between them."""
@@ -120,7 +120,8 @@ class ReplayCamera(Connected):
     def __init__(self, episode: Episode, name: str, robot: ReplayRobot) -> None:
         self.name, self._robot, self._where = name, robot, episode.path
         self._pictures = [p for p in episode.pictures(name) if p.colour is not None and p.depth is not None]
-        self._taken = 0
+        self._windows = list(episode.windows(name))
+        self._taken = self._looked = 0
 
     def connect(self) -> None:
         pass
@@ -138,6 +139,22 @@ class ReplayCamera(Connected):
         picture = self._pictures[self._taken]
         self._taken += 1
         return decode(picture)
+
+    def cut_out(self, window: Window, size: int) -> Cutout:
+        """The next recorded part of a picture, wherever the window is. Raises RobotError when there is none left."""
+        if self._looked >= len(self._windows):
+            raise RobotError(
+                f"{self._where} has only {len(self._windows)} looks through camera '{self.name}' during a skill",
+                "today's run looks more often, or the recorded one had --skills state: give that too",
+            )
+        time, png = self._windows[self._looked]
+        self._looked += 1
+        colour = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) if png else None
+        if colour is None or colour.shape != (size, size, 3):
+            raise EpisodeError(
+                f"{self._where}: the look through camera '{self.name}' at {time:.3f} s is not {size} px wide"
+            )
+        return Cutout(self.name, cv2.cvtColor(colour, cv2.COLOR_BGR2RGB), time)
 
 
 class ReplayTruth:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 
 import numpy as np
+from jaxtyping import Float
 
 from hardware.base import Connected, GripperState, RobotError
 
@@ -69,12 +70,12 @@ class Robotiq(Connected):
     def __init__(
         self,
         address: str,
-        table: Sequence[tuple[int, float]] = DEFAULT_TABLE,
+        table: Sequence[Sequence[float]] | Float[np.ndarray, "n 2"] = DEFAULT_TABLE,
         speed: float = MAX_SPEED,
         force: float = 0.2,
         port: int = PORT,
     ) -> None:
-        counts, openings = (np.array(column, dtype=float) for column in zip(*table, strict=True))
+        counts, openings = np.array(table, dtype=float).T
         if len(table) < 2 or np.any(np.diff(counts) <= 0) or np.any(np.diff(openings) >= 0):
             raise RobotError(f"the gripper's table {list(table)} must have rising counts and falling openings")
         if not MIN_SPEED <= speed <= MAX_SPEED or not 0.0 <= force <= 1.0:

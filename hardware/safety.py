@@ -2,7 +2,8 @@
 
 A block is the run of setpoints for one target. It is checked as a whole, so a motion that would break a limit at
 its end is refused before its beginning. Velocity, acceleration and jerk are finite differences over the setpoints
-really sent, seams included: what is checked is what the robot sees.
+really sent, seams included: what is checked is what the robot sees. Room and tip speed are looked at every STRIDE
+setpoints, between which the tip moves no further than MARGIN and a little.
 """
 
 from __future__ import annotations
@@ -13,12 +14,18 @@ import numpy as np
 from jaxtyping import Float
 
 from hardware.base import SERVO_PERIOD, RealtimeRobot, Robot, SafetyError
+from hardware.clearance import Clearance, Obstacle
 from resync_robot.core import kinematics
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import Rig
 
 MAX_GRIPPER_SPEED = 0.25
 """m/s of pad opening; the specification of the 2F-140."""
+FIRST_RUN_SPEED = 0.25
+"""m/s of the tip until somebody has confirmed the motions at this machine; the usual figure for people nearby."""
+MARGIN = 0.015
+"""m that must stay free between parts of the arm, and between them and what stands around."""
+STRIDE = 5
 
 # Relative. A third difference over 2 ms of positions known to 1e-15 rad is off by 1e-6 rad/s^3.
 _ROUNDING = 1e-6
@@ -48,7 +55,8 @@ class Guard:
             ("acceleration", "rad/s^2", arm.acceleration_limit),
             ("jerk", "rad/s^3", arm.jerk_limit),
         )
-        self._most_force = rig.controller.force_limit if rig.controller is not None else None
+        self._controller = rig.controller
+        self._clearance = Clearance(rig, table_z)
         self._past = np.zeros((3, 6))
         self._opening = 0.0
         self.start()
@@ -61,6 +69,10 @@ class Guard:
     @property
     def last_opening(self) -> float:
         return self._opening
+
+    def keep_out(self, *obstacles: Obstacle) -> None:
+        """Let nothing but the hand come near these, from now on."""
+        self._clearance.obstacles = obstacles
 
     def start(self) -> None:
         """Take the robot where it is measured, at rest, as the last setpoint: after connecting, after a stop.
@@ -84,6 +96,11 @@ class Guard:
         if q.shape != (6,):
             raise SafetyError("shape", "arm", float(q.size), 6.0, f"a target has shape {q.shape}, it must be (6,)")
         self._check_block(q[None], np.array([opening], dtype=np.float64))
+        self._check_room(self._clearance.frames(q[None]))
+
+    def tip_speed(self, setpoints: Float[np.ndarray, "n 6"]) -> float:
+        """m/s; the fastest of the tip on the way from the last setpoint through these."""
+        return self._tip_speed(*self._sampled(setpoints))
 
     def send(
         self,
@@ -110,6 +127,9 @@ class Guard:
             hands = np.concatenate([openings, np.full(len(stop), openings[-1] if len(openings) else self._opening)])
         self._check_block(whole, hands)
         self._check_rates(whole, hands)
+        frames, seconds = self._sampled(whole)
+        self._check_room(frames[1:])
+        self._check_tip_speed(frames, seconds)
         if self._realtime is not None:
             if not braking:
                 self._check_force()
@@ -128,14 +148,62 @@ class Guard:
                 after_each()
 
     def _check_force(self) -> None:
-        if self._most_force is None:
+        if self._controller is None:
             return
-        force = float(np.linalg.norm(self._robot.state().tip_force))
-        if force > self._most_force:
+        force, most = float(np.linalg.norm(self._robot.state().tip_force)), self._controller.force_limit
+        if not force <= most:
             raise SafetyError(
-                "force", "tip", force, self._most_force,
-                f"the tip feels {force:.0f} N; allowed: {self._most_force:.0f} N",
+                "force", "tip", force, most,
+                f"the tip feels {force:.0f} N; allowed: {most:.0f} N",
                 "look what it touches; [controller] force_limit in the rig file sets the limit",
+            )  # fmt: skip
+
+    def _sampled(self, setpoints: np.ndarray) -> tuple[Float[np.ndarray, "m 7 4 4"], Float[np.ndarray, " k"]]:
+        """Frames at the last setpoint and every STRIDE from there, the end included, and the seconds in between."""
+        rows = np.unique([*range(0, len(setpoints) + 1, STRIDE), len(setpoints)])
+        frames = self._clearance.frames(np.concatenate([self._past[-1:], setpoints])[rows])
+        return frames, np.diff(rows) * SERVO_PERIOD
+
+    def _tips(self, frames: np.ndarray) -> Float[np.ndarray, "m 3"]:
+        return frames[:, -1, :3, 3] + self._tip_offset * frames[:, -1, :3, 2]
+
+    def _tip_speed(self, frames: np.ndarray, seconds: np.ndarray) -> float:
+        ways = np.linalg.norm(np.diff(self._tips(frames), axis=0), axis=1)
+        return float((ways / seconds).max(initial=0.0))
+
+    def _check_tip_speed(self, frames: np.ndarray, seconds: np.ndarray) -> None:
+        if self._controller is None or self._controller.full_speed:
+            return
+        speed = self._tip_speed(frames, seconds)
+        if speed > FIRST_RUN_SPEED * (1 + _ROUNDING):
+            raise SafetyError(
+                "tip speed", "tip", speed, FIRST_RUN_SPEED,
+                f"the tip would move at {1000 * speed:.0f} mm/s; allowed until the motions have been confirmed at "
+                f"this machine: {1000 * FIRST_RUN_SPEED:.0f} mm/s",
+                "watch a whole slow run, then set full_speed = true in the rig file's [controller]",
+            )  # fmt: skip
+
+    def _check_room(self, frames: np.ndarray) -> None:
+        """Refuse what lies outside the workspace, or brings parts of the arm too near to each other or to others."""
+        if not len(frames):
+            return
+        if self._controller is not None:
+            tips, low, high = self._tips(frames), self._controller.workspace_low, self._controller.workspace_high
+            beyond = np.maximum(low - tips, tips - high)
+            row, axis = (int(i) for i in np.unravel_index(int(beyond.argmax()), beyond.shape))
+            if beyond[row, axis] > 0:
+                value, bounds = float(tips[row, axis]), f"{low[axis]:.3f} to {high[axis]:.3f} m"
+                raise SafetyError(
+                    "workspace", "tip", value, float((low if value < low[axis] else high)[axis]),
+                    f"the tip would be at {'xyz'[axis]} = {value:.3f} m; allowed: {bounds}",
+                    "[controller] workspace_low and workspace_high in the rig file set the limits",
+                )  # fmt: skip
+        gap = self._clearance.smallest(frames)
+        if gap.distance < MARGIN:
+            raise SafetyError(
+                "clearance", gap.one, gap.distance, MARGIN,
+                f"{gap.one} would be {1000 * gap.distance:.0f} mm from {gap.other}; allowed: {1000 * MARGIN:.0f} mm",
+                "choose another way there, or another branch of the arm",
             )  # fmt: skip
 
     def _check_block(self, setpoints: np.ndarray, openings: np.ndarray) -> None:

@@ -15,13 +15,17 @@ rig's 12 and 500, and at 20 and 1500.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Float
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError, Trajectory
 
 from hardware.base import SERVO_PERIOD, Command, RealtimeRobot, Robot, RobotError, RobotState, SafetyError, StarvedError
-from hardware.safety import MAX_GRIPPER_SPEED, Guard
+from hardware.clearance import Obstacle
+from hardware.safety import FIRST_RUN_SPEED, MAX_GRIPPER_SPEED, Guard
+from resync_robot.core.episode import Timing
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import Rig
@@ -36,8 +40,14 @@ JERK_SHARES = (1.0, 0.999, 0.99, 0.9)
 JUMP_SLACK = 0.05
 """rad by which a target may lie further from the one before than the arm gets at its fastest: lag, and targets that
 are built on the measured pose. Anything further is a mistake of the caller, not a step of a skill."""
+MOST_TICKS = 30_000
+"""For one target; 60 s."""
 MAX_LATENESS = 20
 """How often one target may come too late for the robot before that is an error."""
+FIRST_RUN_PACE = 0.25
+"""Share of every speed until the motions have been confirmed at a machine. The path is the same, in more time."""
+PACE_MARGIN = 0.8
+"""Of the tip's speed limit then, at which a target is given still more time: the guard holds the limit itself."""
 STILL = 0.02
 """rad/s below which a settled joint counts as at rest."""
 
@@ -76,22 +86,28 @@ class Stream:
         self._realtime = robot if isinstance(robot, RealtimeRobot) else None
         self.late = 0
         """How often the arm braked because a target came too late; only a robot in real time can."""
+        self.timing: Timing | None = None
+        """Of the last target that `run` was given."""
         self._guard = guard or Guard(robot, rig)
         self._record_every = round(1.0 / record_hz / SERVO_PERIOD)
         self._since_record = 0
         self._gripper_step = gripper_speed * SERVO_PERIOD
         self._planner = Ruckig(6, SERVO_PERIOD)
+        self._arm = rig.arm
+        self._slow = rig.controller is not None and not rig.controller.full_speed
+        self._pace = FIRST_RUN_PACE if self._slow else 1.0
         self._input = InputParameter(6)
-        self._input.max_velocity = rig.arm.velocity_limit.tolist()
-        self._input.max_acceleration = rig.arm.acceleration_limit.tolist()
-        self._jerk = {share: (share * rig.arm.jerk_limit).tolist() for share in JERK_SHARES}
         self._input.target_acceleration = [0.0] * 6
         self._trajectory, self._way_to_rest = Trajectory(6), Trajectory(6)
         # Stopping from v at jerk j takes the distance v * sqrt(v / j), hence the fastest v for OVERSHOOT.
-        self._arrival_limit = np.minimum(
+        self._arrival_limit = self._pace * np.minimum(
             (OVERSHOOT * np.sqrt(rig.arm.jerk_limit)) ** (2.0 / 3.0), rig.arm.velocity_limit
         )
         self.restart()
+
+    def keep_out(self, *obstacles: Obstacle) -> None:
+        """See `Guard.keep_out`."""
+        self._guard.keep_out(*obstacles)
 
     def restart(self) -> None:
         """Begin again where the robot is measured, at rest: after a stop that this stream did not command."""
@@ -125,27 +141,28 @@ class Stream:
                 rest within its limits; nothing of the refused motion was sent.
             RobotError: the robot stopped, or does not answer.
         """
-        count = self._count(duration)
-        if self._realtime is not None:
-            count = self._count(duration / self._realtime.speed_fraction)
+        asked, begin = self._clock(), time.perf_counter()
+        fraction = self._pace if self._realtime is None else self._pace * self._realtime.speed_fraction
+        count = self._count(duration, fraction)
         for _ in range(MAX_LATENESS):
             try:
                 self._guard.check_target(target.arm, target.opening)
                 arm = np.array(target.arm, dtype=np.float64)
                 if not travel:
                     self._check_jump(arm, count * SERVO_PERIOD)
-                velocity = (arm - self._target.arm) / (count * SERVO_PERIOD)
-                self._calculate(arm, self._arrival(velocity), count * SERVO_PERIOD)
-                after = [np.array(part) for part in self._trajectory.at_time(count * SERVO_PERIOD)]
+                setpoints, velocity = self._plan(arm, count)
+                after = [np.array(part) for part in self._trajectory.at_time(len(setpoints) * SERVO_PERIOD)]
                 stop = None if self._realtime is None else self._stop_from(*after)
-                self._send(target, self._sample(count), self._openings(target.opening, count), stop)
+                due = self._clock() if self._realtime is None else self._realtime.due()
+                self.timing = Timing(None, asked, due, time.perf_counter() - begin)
+                self._send(target, setpoints, self._openings(target.opening, len(setpoints)), stop)
             except StarvedError as error:
                 # The arm rests where it braked to; the same target is asked for again from there.
                 self.late += 1
                 self._guard.rest_at(error.q)
-                asked = self._target
+                before = self._target
                 self._rest()
-                self._target = asked
+                self._target = before
                 continue
             except MotionError:
                 self.stop()
@@ -197,15 +214,29 @@ class Stream:
         before = self._position, self._velocity, self._acceleration
         self._position, self._velocity, self._acceleration = position, velocity, acceleration
         try:
-            self._calculate(np.zeros(6), np.zeros(6), 0.0, self._way_to_rest)
+            self._calculate(np.zeros(6), np.zeros(6), 0.0, self._way_to_rest, pace=1.0)
         finally:
             plan.control_interface = ControlInterface.Position
             self._position, self._velocity, self._acceleration = before
         count = int(np.ceil(self._way_to_rest.duration / SERVO_PERIOD)) + 1
         return self._sample(count, self._way_to_rest)
 
+    def _plan(self, arm: np.ndarray, count: int) -> tuple[Float[np.ndarray, "n 6"], Float[np.ndarray, "6"]]:
+        """Setpoints towards a target over `count` ticks, more where the tip would be too fast, and the target's speed.
+
+        Leaves the trajectory behind them in `_trajectory`.
+        """
+        while True:
+            velocity = (arm - self._target.arm) / (count * SERVO_PERIOD)
+            self._calculate(arm, self._arrival(velocity), count * SERVO_PERIOD)
+            setpoints = self._sample(count)
+            excess = self._guard.tip_speed(setpoints) / (PACE_MARGIN * FIRST_RUN_SPEED) if self._slow else 0.0
+            if excess <= 1.0 or count >= MOST_TICKS:
+                return setpoints, velocity
+            count = min(MOST_TICKS, int(np.ceil(count * max(excess, 1.1))))
+
     def _check_jump(self, arm: np.ndarray, seconds: float) -> None:
-        allowed = np.asarray(self._input.max_velocity) * seconds + JUMP_SLACK
+        allowed = self._pace * self._arm.velocity_limit * seconds + JUMP_SLACK
         jump = np.abs(arm - self._target.arm)
         joint = int(np.argmax(jump - allowed))
         if jump[joint] > allowed[joint]:
@@ -216,10 +247,13 @@ class Stream:
                 "ask for nearer targets, or for a travel",
             )  # fmt: skip
 
-    def _count(self, duration: float) -> int:
-        if not (np.isfinite(duration) and SERVO_PERIOD <= duration <= 60.0):
-            raise MotionError(f"a target for {duration} s; allowed: {SERVO_PERIOD} to 60 s")
-        return round(duration / SERVO_PERIOD)
+    def _count(self, duration: float, fraction: float) -> int:
+        """Ticks that a target gets at a fraction of full speed."""
+        if not (np.isfinite(duration) and SERVO_PERIOD <= duration <= MOST_TICKS * SERVO_PERIOD):
+            raise MotionError(
+                f"a target for {duration} s; allowed: {SERVO_PERIOD} to {MOST_TICKS * SERVO_PERIOD:.0f} s"
+            )
+        return min(MOST_TICKS, round(duration / fraction / SERVO_PERIOD))
 
     def _arrival(self, velocity: np.ndarray) -> np.ndarray:
         """The speed to arrive with: that of the slower of the last two steps of the target, if they agree."""
@@ -227,17 +261,28 @@ class Stream:
         agree = velocity * self._target_velocity > 0
         return np.where(agree, np.sign(velocity) * np.minimum(slower, self._arrival_limit), 0.0)
 
-    def _calculate(self, arm: np.ndarray, arrival: np.ndarray, at_least: float, into: Trajectory | None = None) -> None:
-        plan = self._input
+    def _calculate(
+        self,
+        arm: np.ndarray,
+        arrival: np.ndarray,
+        at_least: float,
+        into: Trajectory | None = None,
+        pace: float | None = None,
+    ) -> None:
+        """The fastest trajectory at that pace, `at_least` so many s long. Raises MotionError where there is none."""
+        plan, pace = self._input, self._pace if pace is None else pace
         plan.current_position = self._position.tolist()
         plan.current_velocity = self._velocity.tolist()
         plan.current_acceleration = self._acceleration.tolist()
         plan.target_position = arm.tolist()
         plan.target_velocity = arrival.tolist()
         plan.minimum_duration = at_least
+        # The same path in 1 / pace of the time.
+        plan.max_velocity = (pace * self._arm.velocity_limit).tolist()
+        plan.max_acceleration = (pace**2 * self._arm.acceleration_limit).tolist()
         failure = ""
         for share in JERK_SHARES:
-            plan.max_jerk = self._jerk[share]
+            plan.max_jerk = (share * pace**3 * self._arm.jerk_limit).tolist()
             try:
                 result = self._planner.calculate(plan, into or self._trajectory)
             except RuckigError as error:
@@ -275,6 +320,9 @@ class Stream:
 
         self._guard.send(setpoints, openings, record if self.recorders else None, stop, braking)
 
+    def _clock(self) -> float:
+        return self._robot.state().time
+
     def _command(self, requested: JointTarget) -> Command:
         sent = JointTarget(self._guard.last_sent, self._guard.last_opening)
-        return Command(self._robot.state().time, requested, sent)
+        return Command(self._clock(), requested, sent)

@@ -1,19 +1,12 @@
-"""The UR7e through the real ur-rtde, which lives in a supervised process (`hardware.ur_link`)."""
+"""The UR7e through the real ur-rtde, which lives in a supervised process (`hardware.ur_process`)."""
 
 from __future__ import annotations
 
 import importlib.util
-import json
 import logging
-import os
-import select
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -30,17 +23,18 @@ from hardware.base import (
 )
 from hardware.dashboard import OTHER_SAFETY, Dashboard
 from hardware.ur_memory import LONGEST_STOP, RING, STOPS, Fault, LinkMemory
+from hardware.ur_process import LinkProcess
 from resync_robot.core.rig import ControllerRig, Rig
 
 _log = logging.getLogger(__name__)
 
-START_S = 15.0
 UNLOCK_AFTER_S = 5.5
 """The controller refuses to unlock a protective stop in its first 5 s."""
 INSTALL = "uv pip install -e '.[hardware]' -c constraints.txt"
 SAFETY_NAMES = {
     2: "REDUCED", 3: "PROTECTIVE_STOP", 4: "RECOVERY", 5: "SAFEGUARD_STOP", 6: "SYSTEM_EMERGENCY_STOP",
-    7: "ROBOT_EMERGENCY_STOP", 8: "VIOLATION", 9: "FAULT",
+    7: "ROBOT_EMERGENCY_STOP", 8: "VIOLATION", 9: "FAULT", 10: "AUTOMATIC_MODE_SAFEGUARD_STOP",
+    11: "SYSTEM_THREE_POSITION_ENABLING_STOP",
 }  # fmt: skip
 
 
@@ -60,13 +54,11 @@ class Ur7e(Connected):
         self._controller = require_controller(rig)
         self.gripper = gripper
         self._world_R_base = rig.arm.world_T_base[:3, :3]
-        self._memory: LinkMemory | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._link: LinkProcess | None = None
         self._stopped_at = 0.0
         self._opening = 0.0
         self._blocks = 0
         self._last_heard = 0.0, time.monotonic()
-        self._program_stopped = False
 
     def connect(self) -> None:
         """Check the controller's state, start the link, verify payload and TCP. Nothing moves.
@@ -74,7 +66,7 @@ class Ur7e(Connected):
         Raises:
             ProtectiveStopError, RobotError: one sentence for what keeps the robot from being driven.
         """
-        if self._process is not None:
+        if self._link is not None:
             raise RobotError("the robot is connected already")
         for module in ("rtde_control", "rtde_receive"):
             if importlib.util.find_spec(module) is None:
@@ -84,37 +76,23 @@ class Ur7e(Connected):
         self.gripper.connect()
         try:
             self._opening = self.gripper.state().opening
-            self._program_stopped, self._stopped_at, self._blocks = False, 0.0, 0
-            self._start_link()
+            self._stopped_at, self._blocks = 0.0, 0
+            self._link = LinkProcess(self._controller.address, self._settings(), self._stop_program)
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
         """Brake to rest, end the program, and let go; may be called twice."""
-        process, self._process = self._process, None
-        if process is not None:
-            if self._memory is not None:
-                self._memory.words["finish"] = 1
-            with suppress(OSError):
-                if process.stdin is not None:
-                    process.stdin.close()
-            try:
-                process.wait(4.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            if process.stdout is not None:
-                process.stdout.close()
-            if process.returncode != 0 and not self._program_stopped:
-                self._stop_program()
-        self._memory = None
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
         self.gripper.close()
 
     def clock(self) -> float:
         """s on the controller's clock when it was last heard; goes on counting while it is silent."""
-        if self._memory is not None:
-            now = self._memory.snapshot()
+        if self._link is not None:
+            now = self._link.memory.snapshot()
             self._last_heard = float(now["time"]), float(now["heard"])
         time_, heard = self._last_heard
         return time_ + max(0.0, time.monotonic() - heard)
@@ -146,6 +124,17 @@ class Ur7e(Connected):
     def late_ticks(self) -> int:
         """How often a setpoint went out more than a tick late, since connecting."""
         return int(self._require_link().words["late_ticks"])
+
+    def sent_at(self) -> Float[np.ndarray, " n"]:
+        """When each of the last setpoints went out, s of the host's monotonic clock; 65 s of them at most."""
+        w = self._require_link().words
+        sent = int(w["sent"])
+        return w["sent_at"][np.arange(max(0, sent - RING), sent) % RING]
+
+    def due(self) -> float:
+        """See `RealtimeRobot`."""
+        w = self._require_link().words
+        return self.clock() + (int(w["write"]) - int(w["read"])) * SERVO_PERIOD
 
     def servo(self, q: Float[np.ndarray, "6"], opening: float) -> None:
         """One setpoint, from which the arm need not stop: for an arm at rest."""
@@ -207,7 +196,12 @@ class Ur7e(Connected):
             if dashboard.safety() == "PROTECTIVE_STOP":
                 dashboard.unlock_protective_stop()
             deadline = time.monotonic() + 3.0
-            while dashboard.safety() == "PROTECTIVE_STOP" and time.monotonic() < deadline:
+            while dashboard.safety() == "PROTECTIVE_STOP":
+                if time.monotonic() > deadline:
+                    raise ProtectiveStopError(
+                        "the controller says that it releases the protective stop, and stays locked",
+                        "release it on the teach pendant, and start again",
+                    )
                 time.sleep(0.05)
         self.connect()
 
@@ -216,87 +210,25 @@ class Ur7e(Connected):
             self._opening = opening
             self.gripper.move(opening)
 
-    def _start_link(self) -> None:
+    def _settings(self) -> dict[str, Any]:
         c = self._controller
-        file = LinkMemory.new_file()
-        try:
-            self._memory = LinkMemory(file)
-            root = str(Path(__file__).parents[1])
-            path = os.pathsep.join([root, *(p for p in sys.path if p)])
-            process = subprocess.Popen(
-                [sys.executable, "-c", "from hardware.ur_link import main; main()"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                pass_fds=(file,),
-                env=os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
-                # A Ctrl-C at the terminal is for the driver, which brakes; the link ends after it.
-                start_new_session=True,
-            )
-            self._process = process
-            settings = {
-                "memory": file, "address": c.address, "freshness": c.freshness, "watchdog": c.watchdog,
-                "payload": c.payload, "payload_centre": c.payload_centre.tolist(),
-                "tcp": [0.0, 0.0, self._rig.gripper.tip_offset, 0.0, 0.0, 0.0],
-            }  # fmt: skip
-            if process.stdin is None or process.stdout is None:
-                raise RobotError("the link to the robot has no pipes")
-            process.stdin.write(json.dumps(settings).encode() + b"\n")
-            process.stdin.flush()
-            answer = self._answer(process)
-        finally:
-            os.close(file)
-        if "error" in answer:
-            reason = str(answer["error"])
-            if "already in use" in reason or "IN_USE" in reason:
-                raise RobotError(
-                    f"another program controls the robot: {reason}",
-                    "end it, or disable its EtherNet/IP, PROFINET or MODBUS unit on the teach pendant",
-                )
-            raise RobotError(f"no control of the robot at {c.address}: {reason}")
-
-    def _answer(self, process: subprocess.Popen[bytes]) -> dict[str, object]:
-        """The link's first line of JSON. The client's library prints lines of its own, which are logged."""
-        deadline = time.monotonic() + START_S
-        rest, lines = b"", []
-        if process.stdout is None:
-            raise RobotError("the link to the robot has no pipes")
-        while time.monotonic() < deadline:
-            if not select.select([process.stdout], [], [], 0.1)[0]:
-                continue
-            data = os.read(process.stdout.fileno(), 4096)
-            rest += data
-            *whole, rest = rest.split(b"\n")
-            for line in whole:
-                text = line.decode("utf-8", "replace").strip()
-                if text.startswith("{"):
-                    content = json.loads(text)
-                    if isinstance(content, dict):
-                        return content
-                lines.append(text)
-                _log.debug("ur-rtde: %s", text)
-            if not data:
-                break
-        last = next((x for x in reversed(lines) if x), "it said nothing")
-        return {"error": f"the link did not start ({last})"}
+        return {
+            "freshness": c.freshness, "watchdog": c.watchdog, "payload": c.payload,
+            "payload_centre": c.payload_centre.tolist(), "tcp": [0.0, 0.0, self._rig.gripper.tip_offset, 0.0, 0.0, 0.0],
+        }  # fmt: skip
 
     def _require_link(self) -> LinkMemory:
-        if self._memory is None or self._process is None:
+        if self._link is None:
             raise RobotError("the robot is not connected", "use it as `with Ur7e(rig, gripper) as robot:`")
-        return self._memory
+        return self._link.memory
 
-    def _require_process(self) -> None:
-        process = self._process
-        code = None if process is None else process.poll()
-        if code is None:
-            return
-        name = f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
-        if not self._program_stopped:
-            self._program_stopped = True
-            self._stop_program()
-        raise StaleError(
-            f"the link to the robot was lost (its process ended with {name}); the robot's program has been stopped",
-            "check the cable and the controller, look at the robot, and start again",
-        )
+    def _require_process(self, wait: float = 0.0) -> None:
+        end = "" if self._link is None else self._link.ended(wait)
+        if end:
+            raise StaleError(
+                f"the link to the robot was lost (its process ended with {end}); the robot's program has been stopped",
+                "check the cable and the controller, look at the robot, and start again",
+            )
 
     def _require_running(self) -> None:
         """Raise whatever keeps the link from sending setpoints."""
@@ -305,11 +237,9 @@ class Ur7e(Connected):
         fault = Fault(int(memory.words["fault"]))
         if fault is Fault.NONE:
             return
-        if fault is Fault.LINK_LOST and self._process is not None:
+        if fault is Fault.LINK_LOST:
             # It leaves at once; its exit says the rest.
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(1.0)
-            self._require_process()
+            self._require_process(1.0)
         self.state()
         safety = SAFETY_NAMES.get(int(memory.snapshot()["safety_mode"]), "")
         if safety == "PROTECTIVE_STOP":

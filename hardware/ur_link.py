@@ -14,11 +14,12 @@ import os
 import sys
 import threading
 import time
+from collections import deque
 from typing import Any
 
 import numpy as np
 
-from hardware.ur_memory import RING, SNAPSHOT, STOPS, Fault, LinkMemory
+from hardware.ur_memory import NOT_STARTED, RING, SNAPSHOT, STOPS, Fault, LinkMemory
 
 PERIOD = 0.002
 KICK_S = 0.02
@@ -53,12 +54,12 @@ class Link:
         self._freshness = float(settings["freshness"])
         self._now = np.zeros((), SNAPSHOT)
         self._driver_gone = threading.Event()
+        self._braking: deque[np.ndarray] = deque()
         self.receive = RTDEReceiveInterface(settings["address"], 1 / PERIOD, list(VARIABLES))
         # Without FLAG_UPLOAD_SCRIPT, see above.
         self.control = RTDEControlInterface(settings["address"], 1 / PERIOD, int(RTDEControlInterface.FLAG_NO_WAIT))
-        self._begin(settings)
 
-    def _begin(self, settings: dict[str, Any]) -> None:
+    def begin(self, settings: dict[str, Any]) -> None:
         """Upload the program, and set and verify what has to be right before anything moves."""
         if not self.control.reuploadScript():
             raise RuntimeError("the controller did not take the control program")
@@ -115,56 +116,56 @@ class Link:
     def run(self) -> Fault:
         """Send setpoints until something speaks against it, or the driver wants to end at rest."""
         w = self._words
-        clock = self.receive
         due, kick = time.monotonic(), 0.0
-        stop: np.ndarray | None = None
-        stop_at = 0
         while True:
-            due += PERIOD
-            pause = due - time.monotonic()
-            if pause > 0:
-                time.sleep(pause)
-            elif pause < -PERIOD:
-                # Held up: later setpoints are later, never closer together.
-                due = time.monotonic()
-                w["late_ticks"] += 1
+            due = self._wait_for(due + PERIOD)
             fault = self.look()
             if fault is not Fault.NONE:
                 return fault
-            q: np.ndarray | None = None
-            read, epoch = int(w["read"]), int(w["link_epoch"])
-            if stop is not None:
-                q, stop_at = stop[stop_at], stop_at + 1
-                if stop_at == len(stop):
-                    stop = None
-                    w["resting"] = 1
-            elif read < int(w["write"]):
-                while read < int(w["write"]) and w["tags"][read % RING] != epoch:
-                    read += 1
-                if read < int(w["write"]):
-                    q = w["ring"][read % RING]
-                    read += 1
-                w["read"] = read
-            else:
-                stop = self._way_to_rest(read, epoch)
-                if stop is not None:
-                    w["held"] = stop[-1]
-                    w["resting"] = 0
-                    w["link_epoch"] = epoch + 1
-                    q, stop_at = stop[0], 1
-                    if len(stop) == 1:
-                        stop = None
-                        w["resting"] = 1
-                elif self._driver_gone.is_set() or w["finish"]:
-                    return Fault.DRIVER_GONE
+            q = self._next_setpoint()
             if q is not None:
-                w["due"], kick = due, due + KICK_S
+                kick = due + KICK_S
+                w["sent_at"][int(w["sent"]) % RING] = time.monotonic()
                 w["sent"] += 1
                 if not self.control.servoJ(q.tolist(), 0.0, 0.0, PERIOD, LOOKAHEAD, GAIN):
-                    return Fault.STOPPED if clock.isConnected() else Fault.LINK_LOST
+                    return Fault.STOPPED if self.receive.isConnected() else Fault.LINK_LOST
+            elif self._driver_gone.is_set() or w["finish"]:
+                return Fault.DRIVER_GONE
             elif due >= kick:
                 kick = due + KICK_S
                 self.control.kickWatchdog()
+
+    def _wait_for(self, due: float) -> float:
+        """Sleep until then; the time by which the next is counted. Held up, later ones are later, never closer."""
+        pause = due - time.monotonic()
+        if pause > 0:
+            time.sleep(pause)
+        elif pause < -PERIOD:
+            self._words["late_ticks"] += 1
+            return time.monotonic()
+        return due
+
+    def _next_setpoint(self) -> np.ndarray | None:
+        """The next of the way to rest under way, else of the ring, else of the way to rest from the ring's end."""
+        w = self._words
+        if not self._braking:
+            read, write, epoch = int(w["read"]), int(w["write"]), int(w["link_epoch"])
+            while read < write and w["tags"][read % RING] != epoch:
+                read += 1
+            w["read"] = min(read + 1, write)
+            if read < write:
+                return w["ring"][read % RING].copy()
+            way = self._way_to_rest(read, epoch)
+            if way is None:
+                return None
+            self._braking.extend(way)
+            w["held"] = way[-1]
+            w["resting"] = 0
+            w["link_epoch"] = epoch + 1
+        q: np.ndarray = self._braking.popleft()
+        if not self._braking:
+            w["resting"] = 1
+        return q
 
     def _way_to_rest(self, read: int, epoch: int) -> np.ndarray | None:
         for i in range(STOPS):
@@ -195,12 +196,15 @@ class Link:
 def main() -> None:
     settings = json.loads(sys.stdin.readline())
     memory = LinkMemory(int(settings["memory"]))
+    code = NOT_STARTED
     try:
         link = Link(settings, memory)
+        code = STILL_RUNNING
+        link.begin(settings)
     # The client raises whatever its libraries do; the driver makes one sentence of it.
     except Exception as error:
         say(error=str(error).strip() or type(error).__name__)
-        leave(1)
+        leave(code)
     link.look()
     threading.Thread(target=link.watch_driver, daemon=True).start()
     say(ready=True)

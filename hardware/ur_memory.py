@@ -1,7 +1,8 @@
 """Memory that the driver shares with the process that talks to the arm; neither ever waits for the other.
 
-Each word has one writer. Setpoints travel in a ring; every block comes with its way to rest. A snapshot of the robot
-is guarded by a counter that is odd while it is being written.
+Each word has one writer. Setpoints travel in a ring; every block comes with its way to rest. `sent_at` is the host's
+monotonic time of the last RING setpoints. A snapshot of the robot is guarded by a counter that is odd while it is
+being written.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ RING = 1 << 15
 """Setpoints; 65 s."""
 STOPS = 4
 LONGEST_STOP = 4096
+NOT_STARTED = 1
+"""Exit code of a link that has uploaded nothing."""
 JOINTS = ("f8", 6)
 
 SNAPSHOT = np.dtype(
@@ -37,8 +40,8 @@ LAYOUT = np.dtype(
     [
         ("write", "i8"), ("epoch", "i8"), ("finish", "i8"),  # written by the driver
         ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("fault", "i8"),
-        ("due", "f8"), ("sent", "i8"), ("late_ticks", "i8"), ("sequence", "i8"), ("snapshot", SNAPSHOT),
-        ("ring", "f8", (RING, 6)), ("tags", "i8", RING), ("stops", STOP, STOPS),
+        ("sent", "i8"), ("late_ticks", "i8"), ("sequence", "i8"), ("snapshot", SNAPSHOT),
+        ("sent_at", "f8", RING), ("ring", "f8", (RING, 6)), ("tags", "i8", RING), ("stops", STOP, STOPS),
     ]
 )  # fmt: skip
 

@@ -1,9 +1,8 @@
-"""Parts of a picture, for policies that look at what is around the hand."""
+"""Parts of pictures, for policies that look at what is around the hand."""
 
 from __future__ import annotations
 
-import cv2
-
+from hardware.crop import crop
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import CameraRig
 from resync_robot.core.world import CameraFrame, Cutout, Window
@@ -13,7 +12,8 @@ def cut_out(frame: CameraFrame, camera: CameraRig, window: Window, size: int) ->
     """What lies in a window of a whole picture, scaled to (size, size).
 
     Raises:
-        PerceptionError: the picture has not the size that the rig file gives, so that windows mean nothing in it.
+        PerceptionError: the picture has not the size that the rig file gives, so that windows mean nothing in it, or
+            the window lies outside of it.
     """
     height, width = frame.colour.shape[:2]
     if (width, height) != (camera.width, camera.height):
@@ -22,7 +22,4 @@ def cut_out(frame: CameraFrame, camera: CameraRig, window: Window, size: int) ->
             f"{camera.width} x {camera.height}",
             "set the resolution of its stream, or calibrate again: resync-robot calibrate intrinsics",
         )
-    left, top = round(window.left), round(window.top)
-    right, bottom = round(window.left + window.width), round(window.top + window.height)
-    part = frame.colour[max(0, top) : min(height, bottom), max(0, left) : min(width, right)]
-    return Cutout(frame.name, cv2.resize(part, (size, size), interpolation=cv2.INTER_AREA), frame.time)
+    return Cutout(frame.name, crop(frame.colour, window, size), frame.time)

@@ -151,7 +151,8 @@ class _Ur7eLab(AbstractContextManager[Devices]):
         rig, controller = self._rig, require_controller(self._rig)
         cameras: dict[str, Camera] = {}
         truth: Callable[[], State] | None = None
-        robot = Ur7e(rig, Robotiq(controller.address))
+        gripper = Robotiq(controller.address, controller.gripper_table, force=controller.gripper_force)
+        robot = Ur7e(rig, gripper)
         if controller.emulated:
             lab = self._stack.enter_context(LabClient(controller.address))
             lab.lay_out(self._layout.domain, self._layout.scenario, self._layout.seed, self._layout.episode)
@@ -163,7 +164,7 @@ class _Ur7eLab(AbstractContextManager[Devices]):
             self._stack.enter_context(robot)
             for camera in rig.cameras:
                 pose = partial(_pose_now, rig, camera, robot)
-                cameras[camera.name] = self._stack.enter_context(RealSense(camera, pose))
+                cameras[camera.name] = self._stack.enter_context(RealSense(camera, pose, clock=robot.clock))
         return Devices(robot, cameras, robot.clock, truth, robot.acknowledge_stop)
 
     def __exit__(self, *error: object) -> None:

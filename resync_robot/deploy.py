@@ -119,6 +119,11 @@ def deploy(config: DeployConfig) -> int:
     for line in calibration_complaints(config, rig):
         say(f"Warning: {line}.\n  -> resync-robot calibrate check --rig {config.rig or 'rig.toml'}")
     simulated = config.backend == "sim" or (rig.controller is not None and rig.controller.emulated)
+    if rig.controller is not None and not rig.controller.full_speed:
+        say(
+            "The tip moves at 250 mm/s at most, until [controller] full_speed = true says that somebody has watched a "
+            "whole slow run."
+        )
     noise = " (RGB-D with simulated noise)" if simulated else ""
     say(
         f"Poses from the wrist camera{noise}."
@@ -215,7 +220,7 @@ def _episode(
     path: Path,
     recording: Episode | None,
 ) -> tuple[Result, bool]:
-    from hardware.base import RobotError
+    from hardware.base import RealtimeRobot, RobotError
     from resync_robot import __version__
     from resync_robot.backends import Layout, open_replay, open_simulated, open_ur7e
     from resync_robot.core.episode import EpisodeMeta, EventKind
@@ -251,6 +256,7 @@ def _episode(
             devices.clock,
             devices.truth,
             lambda: [c.capture() for c in standing],
+            live=isinstance(devices.robot, RealtimeRobot),
             confirm=lambda step: _may_run(config, str(step)),
             tell=say,
         )
@@ -262,7 +268,10 @@ def _episode(
                 raise error
             devices.resume()
 
-        world = kind(devices.robot, devices.cameras, rig, task.objects, devices.truth, recorder.on_scan, on_stop)
+        world = kind(
+            devices.robot, devices.cameras, rig, task.objects, devices.truth, recorder.on_scan, on_stop,
+            recorder.on_look, recorder.on_timing,
+        )  # fmt: skip
         world.stream.recorders.append(recorder.on_stream)
 
         say(f"Goal: {goal}")

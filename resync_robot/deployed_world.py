@@ -7,16 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from hardware.base import Camera, ProtectiveStopError, RealtimeRobot, Robot, WindowedCamera
+from hardware.clearance import Obstacle
 from hardware.stream import Stream
 from hardware.travel import travel
 from perception.belief import Belief, MissingObjectsError
 from perception.cutout import cut_out
 from perception.scan import Scan
 from resync_robot.core import kinematics, spatial
+from resync_robot.core.episode import Timing
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
@@ -41,6 +44,8 @@ class DeployedWorld:
             deployment has none, and such a skill then raises PerceptionError. The simulated backend may hand in the
             simulator's state, and says so.
         on_scan: called with the pictures and the estimate of every scan.
+        on_look: called with every part of a picture that a skill looks at while it moves.
+        on_timing: called with when each target was asked for and sent, and how old the pictures were behind it.
         on_stop: called when the robot has made a protective stop; it asks a person, and returns when the robot may
             go on, or raises. Without it a protective stop ends the episode.
     """
@@ -54,14 +59,17 @@ class DeployedWorld:
         live_state: Callable[[], State] | None = None,
         on_scan: Scanned | None = None,
         on_stop: Callable[[ProtectiveStopError], None] | None = None,
+        on_look: Callable[[Cutout], None] | None = None,
+        on_timing: Callable[[Timing], None] | None = None,
     ) -> None:
-        self._on_stop = on_stop
+        self._on_stop, self._on_look, self._on_timing = on_stop, on_look, on_timing
+        self._looked: list[float] = []
         self.robot, self.rig, self._cameras = robot, rig, cameras
         self.stream = Stream(robot, rig)
         self.scan = Scan(rig)
         self._robot_object = next(o for o in objects if o.type == ROBOT)
-        box = next(o for o in objects if o.type == BOX)
-        self.belief = Belief(self._robot_object, box, [o for o in objects if o.type == BLOCK], rig)
+        self._box = next(o for o in objects if o.type == BOX)
+        self.belief = Belief(self._robot_object, self._box, [o for o in objects if o.type == BLOCK], rig)
         self._live_state, self._on_scan = live_state, on_scan
         self._held: Object | None = None
         self.scans = 0
@@ -98,14 +106,22 @@ class DeployedWorld:
             raise UnknownNameError("camera", name, list(self._cameras))
         camera = self._cameras[name]
         if isinstance(camera, WindowedCamera):
-            return camera.cut_out(window, size)
-        return cut_out(camera.capture(), self.rig.camera(name), window, size)
+            seen = camera.cut_out(window, size)
+        else:
+            seen = cut_out(camera.capture(), self.rig.camera(name), window, size)
+        self._looked.append(seen.time)
+        if self._on_look:
+            self._on_look(seen)
+        return seen
 
     def act(self, target: JointTarget, duration: float) -> None:
         try:
             self.stream.run(target, duration)
         except ProtectiveStopError as error:
             self._resume(error)
+        if self._on_timing and self.stream.timing is not None:
+            self._on_timing(replace(self.stream.timing, picture=min(self._looked, default=None)))
+        self._looked.clear()
 
     def _resume(self, error: ProtectiveStopError) -> None:
         """Have the stop acknowledged, and begin again where the arm is measured. Raises, whatever happens."""
@@ -146,6 +162,7 @@ class DeployedWorld:
             # What was seen before and is out of sight now keeps its old place; the plan may still go on.
             state, self.missing = self.belief.state(features), error.missing
         self._held = self.belief.held
+        self.stream.keep_out(walled(state, self._box))
         if self._on_scan:
             self._on_scan(frames, state)
         return state
@@ -185,3 +202,12 @@ class OracleWorld(DeployedWorld):
 
     def observe(self, live: bool = False) -> Observation:
         return super().observe(live=True)
+
+
+def walled(state: State, box: Object) -> Obstacle:
+    """The volume of an open box, walls and all: the hand works in there, the rest of the arm stays out."""
+    inner = state.get(box, "inner_x", "inner_y")
+    height, thickness = state.get(box, "wall_z", "wall_thickness")
+    half = np.array([*(np.asarray(inner) / 2 + thickness), height / 2])
+    middle = spatial.transform(None, np.array([0.0, 0.0, half[2]]))
+    return Obstacle(box.name, spatial.pose_from_features(state[box][:7]) @ middle, half)

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 
 import cv2
 import numpy as np
 
 from hardware.base import Command, RobotState
-from resync_robot.core.episode import EventKind
+from resync_robot.core.episode import EventKind, Timing
 from resync_robot.core.episode_writer import EpisodeWriter
+from resync_robot.core.errors import ResyncError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import GroundSkill, Outcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, GroundOperator
-from resync_robot.core.world import CameraFrame, Observation
+from resync_robot.core.world import CameraFrame, Cutout, Observation
 from resync_robot.planning.execute import End, Listener
 from resync_robot.planning.search import Plan
 
+_log = logging.getLogger(__name__)
 CLOUD_POINTS = 6000
 
 
@@ -28,6 +31,7 @@ class Recorder(Listener):
         clock: seconds on the robot's clock now.
         truth: the simulator's own state, recorded under that name for comparison; None on a real robot.
         look: pictures to keep once every `look_every` seconds, from the cameras that stand around.
+        live: time goes on by itself, so `look` and `truth` are asked on the recording's thread, beside the stream.
         confirm: asked before each step.
         tell: called with a line for people at every plan and skill.
     """
@@ -39,11 +43,13 @@ class Recorder(Listener):
         truth: Callable[[], State] | None = None,
         look: Callable[[], Sequence[CameraFrame]] | None = None,
         look_every: float = 1.0,
+        live: bool = False,
         confirm: Callable[[GroundOperator], bool] = lambda step: True,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         self._writer, self._clock, self._truth, self._confirm = writer, clock, truth, confirm
         self._look, self._look_every, self._next_look = look, look_every, 0.0
+        self._live = live
         self._steps: tuple[GroundOperator, ...] = ()
         self._reason = ""
         self._tell = tell
@@ -55,10 +61,34 @@ class Recorder(Listener):
         w.tip_force(state.time, state.tip_force)
         if self._look and state.time >= self._next_look:
             self._next_look = state.time + self._look_every
-            for frame in self._look():
+            if self._live:
+                w.defer(self._look_around)
+            else:
+                self._look_around()
+
+    def _look_around(self) -> None:
+        """A camera in trouble is the business of whoever needs it; the recording goes on without its pictures."""
+        try:
+            for frame in self._look() if self._look else ():
                 self._picture(frame)
             if self._truth:
-                w.truth(state.time, self._truth())
+                self._writer.truth(self._clock(), self._truth())
+        except ResyncError as error:
+            _log.warning("a look around is missing from the recording: %s", error.what)
+
+    def on_look(self, part: Cutout) -> None:
+        """What a skill looked at while it moved; bit by bit, for a replay."""
+
+        def encode() -> None:
+            _, png = cv2.imencode(
+                ".png", cv2.cvtColor(part.colour, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 1]
+            )
+            self._writer.window(part.name, part.time, png.tobytes())
+
+        self._writer.defer(encode)
+
+    def on_timing(self, timing: Timing) -> None:
+        self._writer.timing(timing)
 
     def on_scan(self, frames: Sequence[CameraFrame], state: State) -> None:
         now = self._clock()
@@ -104,9 +134,13 @@ class Recorder(Listener):
         return self._confirm(step)
 
     def _picture(self, frame: CameraFrame) -> None:
-        _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(frame.colour, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 88])
-        _, png = cv2.imencode(".png", frame.depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-        self._writer.picture(frame, jpeg.tobytes(), png.tobytes())
+        def encode() -> None:
+            quality = [cv2.IMWRITE_JPEG_QUALITY, 88]
+            _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(frame.colour, cv2.COLOR_RGB2BGR), quality)
+            _, png = cv2.imencode(".png", frame.depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            self._writer.picture(frame, jpeg.tobytes(), png.tobytes())
+
+        self._writer.defer(encode)
 
 
 def cloud(frames: Sequence[CameraFrame]) -> tuple[np.ndarray, np.ndarray]:

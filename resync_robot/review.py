@@ -27,6 +27,9 @@ class ReviewConfig:
     save: Path | None = None
     """Write this .rrd file instead of opening the viewer; needs no display."""
 
+    mend: Path | None = None
+    """Write what is whole of a torn recording to this .mcap file, which every program opens, and do nothing else."""
+
 
 def review(config: ReviewConfig) -> None:
     """Draw the episode and show it, or save it.
@@ -34,6 +37,9 @@ def review(config: ReviewConfig) -> None:
     Raises:
         EpisodeError: the recording cannot be read, the file cannot be written, or there is no display to show it on.
     """
+    if config.mend is not None:
+        _mend(config.episode, config.mend)
+        return
     if config.save is None and not _has_display():
         raise EpisodeError(
             "there is no display to open the viewer on",
@@ -53,6 +59,16 @@ def review(config: ReviewConfig) -> None:
         drawing = Path(folder) / f"{config.episode.stem}.rrd"
         save_drawing(episode, drawing)
         _view(drawing, Path(folder) / "config")
+
+
+def _mend(torn: Path, out: Path) -> None:
+    from resync_robot.core.episode import mend_episode, read_episode
+    from resync_robot.progress import say
+
+    damage = read_episode(torn).damage
+    mended = mend_episode(torn, out)
+    say(f"{torn}: {damage or 'nothing is wrong with it'}.")
+    say(f"{out} holds the first {mended.duration:.1f} s. Review:  resync-robot review {out}")
 
 
 def _has_display() -> bool:

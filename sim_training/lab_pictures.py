@@ -13,10 +13,12 @@ from sapien import Pose
 from resync_robot.core import spatial
 from resync_robot.core.errors import ResyncError
 from resync_robot.core.rig import Rig, load_rig
+from resync_robot.core.world import Window
 from sim_training.domains import find_domain, world_task
 from sim_training.sensor import NoisySensor
 from sim_training.world import SimWorld
 
+MAX_WINDOW_PX = 1024
 _AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 
 
@@ -34,11 +36,14 @@ class Pictures:
             self._world = SimWorld(task, self._rig, rendered=True)
             self._rng = np.random.default_rng(task.seed)
             self._sensors = {c.name: NoisySensor(task.seed * 10 + i, c) for i, c in enumerate(self._rig.cameras)}
-            self._moved: set[str] = set()
+            self._errors: dict[str, np.ndarray] = {}
+            # The first picture of a process takes half a minute where the processor draws: no robot shall wait for it.
+            self._world.render(self._rig.cameras[0].name)
             return {}, b""
         return self._picture(request)
 
     def _picture(self, request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
+        """A whole picture, or the colours of a window of one."""
         world = self._world
         if world is None:
             raise ResyncError("no scene has been laid out yet")
@@ -48,27 +53,32 @@ class Pictures:
                 features = np.array(request["objects"][obj.name])
                 body.entity.set_pose(Pose(features[:3], features[3:7]))
         name = str(request["camera"])
-        self._misplace(name, world)
-        frame = self._sensors[name].apply(world.render(name))
-        height, width = frame.depth.shape
-        body_ = frame.colour.tobytes() + frame.depth.astype("<u2").tobytes()
-        return {"height": height, "width": width}, body_
-
-    def _misplace(self, name: str, world: SimWorld) -> None:
-        """Move the camera off its calibrated pose: one on the flange anew with every view, another once."""
-        rig = self._rig.camera(name)
-        if rig.mount == "world" and name in self._moved:
-            return
-        self._moved.add(name)
-        error = spatial.transform(
-            spatial.rotation_from_vector(self._rng.normal(0.0, rig.rotation_sigma, 3)),
-            self._rng.normal(0.0, rig.position_sigma, 3),
-        )
-        camera = world.built.cameras[name]
+        error, sensor = self._error(name), self._sensors[name]
+        if "window" in request:
+            window, size = Window(*map(float, request["window"])), int(request["size"])
+            if not 1 <= size <= MAX_WINDOW_PX:
+                raise ResyncError(f"a window of {size} pixels; allowed: 1 to {MAX_WINDOW_PX}")
+            colour = sensor.colour(world.render_window(name, window, size, error).colour)
+            return {"height": size, "width": size}, colour.tobytes()
+        rig, camera = self._rig.camera(name), world.built.cameras[name]
         if rig.mount == "flange":
             camera.local_pose = Pose(rig.pose @ error @ _AXES)
         else:
             camera.entity.set_pose(Pose(rig.pose @ error @ _AXES))
+        frame = sensor.apply(world.render(name))
+        height, width = frame.depth.shape
+        body_ = frame.colour.tobytes() + frame.depth.astype("<u2").tobytes()
+        return {"height": height, "width": width}, body_
+
+    def _error(self, name: str) -> np.ndarray:
+        """Where a camera stands beside its calibrated pose: on the flange anew with every view, else once."""
+        rig = self._rig.camera(name)
+        if rig.mount == "flange" or name not in self._errors:
+            self._errors[name] = spatial.transform(
+                spatial.rotation_from_vector(self._rng.normal(0.0, rig.rotation_sigma, 3)),
+                self._rng.normal(0.0, rig.position_sigma, 3),
+            )
+        return self._errors[name]
 
 
 def main() -> None:
@@ -79,7 +89,7 @@ def main() -> None:
     for line in sys.stdin:
         try:
             head, body = pictures.answer(json.loads(line))
-        except (ResyncError, KeyError, ValueError) as error:
+        except (ResyncError, KeyError, ValueError, TypeError) as error:
             head, body = {"error": getattr(error, "what", str(error))}, b""
         output.write(json.dumps(head | {"bytes": len(body)}).encode() + b"\n" + body)
         output.flush()

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from hardware.sim import SimRobot
+from resync_robot.core import spatial
+from resync_robot.core.episode import Timing
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import load_rig
+from resync_robot.core.vocabulary import BOX
 from resync_robot.core.world import CameraFrame, Cutout, Window
-from resync_robot.deployed_world import OracleWorld
+from resync_robot.deployed_world import OracleWorld, walled
 from sim_training.world import SimWorld
 from tests import scenes
 
@@ -74,3 +77,30 @@ def test_a_camera_that_is_not_there_or_mis_sized_is_named(world: OracleWorld) ->
 
 def test_a_simulated_robot_waits_for_whoever_thinks(world: OracleWorld) -> None:
     assert not world.observe().realtime
+
+
+def test_a_box_is_kept_free_of_all_but_the_hand() -> None:
+    state = scenes.scene({"b0": (0.0, 0.0)}).initial
+    box = next(o for o in state if o.type == BOX)
+    inner_x, inner_y, wall, thickness = state.get(box, "inner_x", "inner_y", "wall_z", "wall_thickness")
+    kept = walled(state, box)
+    assert kept.name == box.name
+    np.testing.assert_allclose(2 * kept.half, [inner_x + 2 * thickness, inner_y + 2 * thickness, wall])
+    corner = kept.world_T_middle @ np.array([*kept.half, 1.0])
+    floor = spatial.pose_from_features(state[box][:7])
+    np.testing.assert_allclose(corner[2], floor[2, 3] + wall)
+    np.testing.assert_allclose(kept.world_T_middle[:2, 3], floor[:2, 3])
+
+
+def test_every_target_says_how_old_the_pictures_behind_it_are(world: OracleWorld) -> None:
+    timings: list[Timing] = []
+    world._on_timing = timings.append
+    look = world.observe().look
+    assert look is not None
+    look("side", WINDOW, 16)
+    look("front", WINDOW, 16)
+    world.act(world.stream.target, 0.02)
+    world.act(world.stream.target, 0.02)
+    assert [t.picture for t in timings] == [1.25, None]
+    assert timings[0].asked <= timings[0].due < timings[1].due
+    assert all(0 < t.computed < 1 for t in timings)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hardware.base import Command, RobotState
-from resync_robot.core.episode import Episode, EpisodeMeta, EventKind, read_episode
+from hardware.base import Command, RobotState, StaleError
+from resync_robot.core.episode import Episode, EpisodeMeta, EventKind, Timing, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
@@ -109,13 +110,15 @@ def test_every_end_is_an_event(path: Path, end: End, kind: EventKind) -> None:
     assert event.kind is kind and event.text == end.value
 
 
-def test_the_stream_is_recorded_with_pictures_and_truth_once_in_a_while(path: Path) -> None:
-    s = Session(path, truth=lambda: STATE, look=lambda: [frame(time=s.now)], look_every=1.0)
+@pytest.mark.parametrize("live", [False, True])
+def test_the_stream_is_recorded_with_pictures_and_truth_once_in_a_while(path: Path, live: bool) -> None:
+    s = Session(path, truth=lambda: STATE, look=lambda: [frame(time=s.now)], look_every=1.0, live=live)
     asked, sent = JointTarget(np.full(6, 0.2), 0.1), JointTarget(np.full(6, 0.1), 0.1)
     for i in range(30):
         s.now = 0.1 * i
         state = RobotState(s.now, np.full(6, 0.05), np.zeros(6), np.array([0.0, 0.0, 3.0]), 0.09)
         s.recorder.on_stream(state, Command(s.now, asked, sent))
+        s.writer.flush()
     episode = s.read()
     joints = list(episode.joints())
     assert len(joints) == 30
@@ -152,3 +155,29 @@ def test_confirmation_is_passed_on(path: Path) -> None:
     s = Session(path, confirm=lambda step: asked.append(str(step)) or False)
     assert s.recorder.confirm(PLAN.steps[0]) is False
     assert asked == ["Pick(r, b0)"]
+
+
+def test_a_slow_or_broken_camera_holds_up_nothing_and_ends_no_recording(path: Path) -> None:
+    """At a robot whose time goes on by itself, whoever streams must not wait for a picture."""
+
+    def look() -> list[CameraFrame]:
+        time.sleep(0.2)
+        raise StaleError("the camera is silent")
+
+    s = Session(path, look=look, look_every=0.0, live=True)
+    command = Command(0.0, JointTarget(np.zeros(6), 0.1), JointTarget(np.zeros(6), 0.1))
+    begin = time.perf_counter()
+    for i in range(5):
+        s.recorder.on_stream(RobotState(i, np.zeros(6), np.zeros(6), np.zeros(3), 0.09), command)
+    assert time.perf_counter() - begin < 0.2
+    episode = s.read()
+    assert s.writer.error is None and episode.damage is None
+    assert len(list(episode.joints())) == 5
+
+
+def test_timings_are_recorded(path: Path) -> None:
+    s = Session(path)
+    timings = [Timing(None, 1.0, 1.01, 0.002), Timing(1.9, 2.0, 2.01, 0.001)]
+    for timing in timings:
+        s.recorder.on_timing(timing)
+    assert list(s.read().timings()) == timings

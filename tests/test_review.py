@@ -119,6 +119,24 @@ def test_the_viewer_finds_no_fault_with_the_file(drawing):
     assert done.returncode == 0, done.stderr.decode()
 
 
+def test_the_recording_itself_opens_in_the_viewer(episode, tmp_path):
+    """By Rerun's own reader of ROS 2, which knows nothing of this program."""
+    import rerun as rr
+
+    opened = tmp_path / "opened.rrd"
+    command = [sys.executable, "-m", "rerun_cli", "mcap", "convert", str(episode), "-o", str(opened)]
+    done = subprocess.run([*command, "--disable-raw-fallback"], capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()
+    columns = {(c.entity_path, c.archetype) for c in rr.dataframe.load_recording(opened).schema().component_columns()}
+    shown = {(path, str(archetype).rsplit(".", 1)[-1]) for path, archetype in columns}
+    for camera in ("wrist", "front", "side"):
+        assert (f"/camera/{camera}/colour", "EncodedImage") in shown
+        assert (f"/camera/{camera}/depth_mm", "DepthImage") in shown
+        assert (f"/camera/{camera}/camera_info", "Pinhole") in shown
+    assert ("/joint_states", "Scalars") in {(f"/{path.split('/')[1]}", kind) for path, kind in shown}
+    assert {"/plan_text", "/atoms_text", "/rosout"} <= {path for path, _ in shown}
+
+
 def test_joints_are_drawn_as_recorded(columns, episode):
     rows = table(columns, "/joints/elbow_joint/measured")
     values = [v[0] for name, column in rows.items() if "Scalars" in name for v in column if v]
@@ -180,6 +198,24 @@ def test_a_torn_recording_is_drawn_up_to_the_tear(episode, tmp_path, caplog):
     review(ReviewConfig(episode=torn, save=out))
     assert out.stat().st_size > 10_000
     assert "is not whole" in caplog.text
+
+
+def test_a_torn_recording_is_mended_for_every_reader(episode, tmp_path, capsys):
+    from mcap.reader import make_reader
+
+    torn, mended = tmp_path / "torn.mcap", tmp_path / "mended.mcap"
+    data = episode.read_bytes()
+    torn.write_bytes(data[: int(0.6 * len(data))])
+    review(ReviewConfig(episode=torn, mend=mended))
+    shown = capsys.readouterr().out
+    assert f"of {torn.stat().st_size} bytes are whole, with " in shown and "holds the first" in shown
+    before, after = read_episode(torn), read_episode(mended)
+    assert after.damage is None and after.messages == before.messages
+    with mended.open("rb") as file:
+        count = sum(1 for _ in make_reader(file).iter_messages())
+    assert count == sum(map(len, before.messages.values())) > 100
+    with pytest.raises(EpisodeError, match="File exists"):
+        review(ReviewConfig(episode=torn, mend=mended))
 
 
 def test_a_recording_with_nothing_but_meta(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hardware.base import Connected, Robot
 from hardware.emulator.lab import LabClient
 from resync_robot.core.rig import CameraRig, Rig
-from resync_robot.core.world import CameraFrame
+from resync_robot.core.world import CameraFrame, Cutout, Window
 
 
 class EmulatedCamera(Connected):
@@ -31,3 +31,8 @@ class EmulatedCamera(Connected):
         time, colour, depth = self._lab.picture(self.name)
         pose = self._rig.camera_pose(self._camera, self._robot.state().q)
         return CameraFrame(self.name, colour, depth, self._camera.intrinsics, pose, time)
+
+    def cut_out(self, window: Window, size: int) -> Cutout:
+        """A part of a picture of now, rendered by itself."""
+        time, colour = self._lab.window(self.name, window, size)
+        return Cutout(self.name, colour, time)

@@ -46,6 +46,8 @@ class SafetyMode(enum.IntEnum):
     ROBOT_EMERGENCY_STOP = 7
     VIOLATION = 8
     FAULT = 9
+    AUTOMATIC_MODE_SAFEGUARD_STOP = 10
+    SYSTEM_THREE_POSITION_ENABLING_STOP = 11
 
 
 STATUS_BIT = {
@@ -58,9 +60,18 @@ STATUS_BIT = {
     SafetyMode.ROBOT_EMERGENCY_STOP: 6,
     SafetyMode.VIOLATION: 8,
     SafetyMode.FAULT: 9,
+    SafetyMode.AUTOMATIC_MODE_SAFEGUARD_STOP: 4,
+    SafetyMode.SYSTEM_THREE_POSITION_ENABLING_STOP: 10,
 }
 MOVES = (SafetyMode.NORMAL, SafetyMode.REDUCED)
-POWERED = (*MOVES, SafetyMode.PROTECTIVE_STOP, SafetyMode.RECOVERY, SafetyMode.SAFEGUARD_STOP)
+POWERED = (
+    *MOVES,
+    SafetyMode.PROTECTIVE_STOP,
+    SafetyMode.RECOVERY,
+    SafetyMode.SAFEGUARD_STOP,
+    SafetyMode.AUTOMATIC_MODE_SAFEGUARD_STOP,
+    SafetyMode.SYSTEM_THREE_POSITION_ENABLING_STOP,
+)
 
 
 class Runtime(enum.IntEnum):
@@ -161,8 +172,9 @@ class Controller:
     def on_input(self, values: dict[str, Value]) -> None:
         """Registers and outputs that a client wrote."""
         self.inputs.update(values)
-        if values.get("speed_slider_mask"):
-            self.slider = float(np.clip(values["speed_slider_fraction"], 0.0, 1.0))
+        fraction = float(values.get("speed_slider_fraction", np.nan))
+        if self.inputs.get("speed_slider_mask") and np.isfinite(fraction):
+            self.slider = min(max(fraction, 0.0), 1.0)
         if self.program is not None:
             self.program.on_input(values)
             if self.wire is not None and values.get("input_int_register_0") == Command.SERVOJ:

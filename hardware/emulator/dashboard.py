@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 from hardware.emulator.controller import Controller, RobotMode, SafetyMode
+from hardware.emulator.lines import LineConversation
 
 BANNER = b"Connected: Universal Robots Dashboard Server\n"
 MAX_LINE = 1024
 _REMOTE_ONLY = ("play", "stop", "pause", "power on", "power off", "brake release", "unlock protective stop")
 
 
-class DashboardClient:
+class DashboardClient(LineConversation):
     """One connection's side of it."""
 
     def __init__(self, controller: Controller) -> None:
+        super().__init__(MAX_LINE)
         self._controller = controller
-        self._buffer = b""
-        self.ended = False
 
-    def feed(self, data: bytes) -> bytes:
-        """Take bytes from the client and return what to answer."""
-        self._buffer += data
-        answers = b""
-        while b"\n" in self._buffer:
-            line, self._buffer = self._buffer.split(b"\n", 1)
-            answers += self.answer(line.decode("utf-8", "replace").strip()).encode() + b"\n"
-        if len(self._buffer) > MAX_LINE:
-            self.ended = True
-        return answers
+    def answer(self, line: str) -> bytes:
+        return self._reply(line).encode() + b"\n"
 
-    def answer(self, line: str) -> str:
+    def _reply(self, line: str) -> str:
         c, word = self._controller, line.lower()
         if word in _REMOTE_ONLY and not c.remote:
             return (

@@ -11,6 +11,7 @@ import re
 import numpy as np
 
 from hardware.base import SERVO_PERIOD
+from hardware.emulator.lines import LineConversation
 
 OPEN_COUNT, CLOSED_COUNT = 3, 230
 WIDEST = 0.14
@@ -97,26 +98,14 @@ class EmulatedGripper:
         return self.driven
 
 
-class GripperClient:
+class GripperClient(LineConversation):
     """One connection's side of it."""
 
     def __init__(self, gripper: EmulatedGripper) -> None:
+        super().__init__(MAX_LINE)
         self._gripper = gripper
-        self._buffer = b""
-        self.ended = False
 
-    def feed(self, data: bytes) -> bytes:
-        """Take bytes from the client and return what to answer."""
-        self._buffer += data
-        answers = b""
-        while b"\n" in self._buffer:
-            line, self._buffer = self._buffer.split(b"\n", 1)
-            answers += self._answer(line.decode("ascii", "replace").strip())
-        if len(self._buffer) > MAX_LINE:
-            self.ended = True
-        return answers
-
-    def _answer(self, line: str) -> bytes:
+    def answer(self, line: str) -> bytes:
         words = line.split()
         if len(words) == 2 and words[0] == "GET":
             value = self._gripper.get(words[1])

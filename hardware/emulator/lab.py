@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import socket
+import threading
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,12 +17,13 @@ import numpy as np
 from hardware.base import Connected, RobotError
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import TYPES
+from resync_robot.core.world import Window
 
 PORT = 30910
 MAX_LINE = 1 << 20
 MAX_PICTURE = 1 << 26
-TIMEOUT_S = 60.0
-"""A scene takes seconds to build, a picture of a software renderer up to one."""
+TIMEOUT_S = 120.0
+"""A scene and its first picture take half a minute where the processor draws and is busy, others up to a second."""
 
 
 class LabClient(Connected):
@@ -31,6 +33,7 @@ class LabClient(Connected):
         self._where = (address, port)
         self._socket: socket.socket | None = None
         self._buffer = b""
+        self._asking = threading.Lock()
 
     def connect(self) -> None:
         address, port = self._where
@@ -66,8 +69,20 @@ class LabClient(Connected):
         depth = np.frombuffer(body, "<u2", height * width, height * width * 3).reshape(height, width)
         return float(head["time"]), colour, depth
 
+    def window(self, camera: str, window: Window, size: int) -> tuple[float, np.ndarray]:
+        """Time on the controller's clock (s), and (size, size, 3) uint8 RGB of a part of a picture, with all noise."""
+        sides = [window.left, window.top, window.width, window.height]
+        head, body = self.ask({"do": "picture", "camera": camera, "window": sides, "size": size})
+        if len(body) != size * size * 3:
+            raise RobotError(f"the emulated camera '{camera}' sent {len(body)} bytes for {size} x {size} pixels")
+        return float(head["time"]), np.frombuffer(body, np.uint8).reshape(size, size, 3)
+
     def ask(self, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
-        """The answer, and the bytes that follow it. Raises RobotError with the lab's own words."""
+        """The answer, and the bytes that follow it, for any thread. Raises RobotError with the lab's own words."""
+        with self._asking:
+            return self._ask(question)
+
+    def _ask(self, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
         if self._socket is None:
             raise RobotError("the emulated lab is not connected")
         try:

@@ -47,6 +47,10 @@ class Command(enum.IntEnum):
 
 REALTIME = (Command.SERVOJ, Command.SPEEDJ)
 READY, DONE = 1, 2
+FASTEST = np.pi
+"""rad/s of any joint."""
+ARGUMENTS = 8
+"""Registers of numbers that a command may bring."""
 
 
 class ControlProgram:
@@ -115,10 +119,17 @@ class ControlProgram:
             return
         self._awaiting_clear = True
         command = self._command
+        if not np.isfinite([self._double(controller, i) for i in range(ARGUMENTS)]).all():
+            controller.protective_stop()
+            return
         if command in (Command.SERVO_STOP, Command.SPEED_STOP, Command.STOPJ, Command.STOPL):
             self._halt(self._double(controller, 0))
         elif command == Command.MOVEJ:
-            self._begin_move(controller, q, self._six(controller), self._double(controller, 6))
+            goal = self._six(controller)
+            if np.any(np.abs(goal) > kinematics.JOINT_LIMIT[0]):
+                controller.protective_stop()
+                return
+            self._begin_move(controller, q, goal, self._double(controller, 6))
             return
         elif command == Command.MOVEL:
             pose = self._six(controller)
@@ -153,15 +164,20 @@ class ControlProgram:
     def _obey_realtime(self, controller: Controller, q: np.ndarray) -> None:
         six = self._six(controller)
         self._path = None
-        if self._command == Command.SERVOJ:
-            if not np.isfinite(six).all() or np.any(np.abs(six) > kinematics.JOINT_LIMIT[0]):
-                controller.protective_stop()
-                return
+        servo = self._command == Command.SERVOJ
+        acceleration, hold = self._double(controller, 6), self._double(controller, 7)
+        # What is not a number is not within a limit either.
+        if not (np.abs(six) <= (kinematics.JOINT_LIMIT[0] if servo else FASTEST)).all():
+            controller.protective_stop()
+            return
+        if servo:
             self._target, self._speed = six, np.zeros(6)
+        elif not np.isfinite([acceleration, hold]).all():
+            controller.protective_stop()
+            return
         else:
             self._target = None
-            self._speed, self._acceleration = six, self._double(controller, 6)
-            hold = self._double(controller, 7)
+            self._speed, self._acceleration = six, acceleration
             self._speed_until = controller.time + hold if hold > 0 else np.inf
         self._set(0, READY)
 

@@ -10,8 +10,15 @@
 | /atoms | text of each atom -> probability |
 | /plan | steps, index of the one under way, why it was planned |
 | /event | scan, skill start and end, replan, give-up, goal, stop |
-| /camera/NAME/{info,colour,depth} | intrinsics and pose (JSON), JPEG, 16-bit PNG (unit 1e-4 m, 0 = nothing) |
-| /points | fused cloud in the world: per point 3 float32 (m), 3 uint8 (RGB) |
+| /timing | of each target: exposure of what it was decided on, asked, first setpoint due, seconds of computing |
+| /camera/NAME/info | intrinsics and pose |
+| /camera/NAME/{colour,depth} | sensor_msgs/CompressedImage: JPEG, and 16-bit PNG (unit 1e-4 m, 0 = nothing) |
+| /camera/NAME/window | the same as PNG: the parts that a skill looked at while it moved |
+| /points | sensor_msgs/PointCloud2: fused cloud in the world, x y z in m, r g b |
+
+JSON but for the last three. The same once more as messages of ROS 2, for Foxglove, Rerun and whatever else reads them:
+/joint_states, /joint_commands, /tf, /wrench, /camera/NAME/{camera_info,depth_mm}, /plan_text, /atoms_text, /rosout,
+/latency.
 
 Times are seconds of the episode (stored as ns). `core.episode_writer` writes such a file; `read_episode` returns
 what is whole of a torn one.
@@ -29,21 +36,19 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-import zstandard
 from jaxtyping import Float, UInt8
-from mcap.records import Channel, Chunk, Footer, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Channel, Message
 
+from resync_robot.core import ros_messages
 from resync_robot.core.errors import EpisodeError, ResyncError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
+from resync_robot.core.mcap_file import read_whole, write_whole
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import TYPES
 
-FORMAT = 1
-MAX_CHUNK_BYTES = 256 * 2**20
-"""A chunk that claims to unpack to more is taken for damage; one picture is far below."""
-
+FORMAT = 2
+"""1 had pictures as plain JPEG, and nothing of ROS 2."""
 FRAMES = {
     "world": "z up, origin on the table; world_T_base in the rig places the arm",
     "base": "Denavit-Hartenberg base of the arm",
@@ -52,7 +57,7 @@ FRAMES = {
     "quaternions": "w x y z",
     "joints": list(ARM_JOINTS),
 }
-# One point of a cloud in the file.
+# One point of a cloud in the file, as `ros_messages.point_cloud` tells viewers.
 POINT = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 
 
@@ -131,6 +136,22 @@ class Event:
 
 
 @dataclass(frozen=True)
+class Timing:
+    """Of one target, on the robot's clock in s.
+
+    Attributes:
+        picture: when the oldest picture was exposed that the target was decided on; None where there was none.
+        asked: when it was handed to the stream; `due`: when its first setpoint was to be sent.
+        computed: s of computing in between.
+    """
+
+    picture: float | None
+    asked: float
+    due: float
+    computed: float
+
+
+@dataclass(frozen=True)
 class Picture:
     """An encoded RGB-D picture. `colour` (JPEG) and `depth` (16-bit PNG, 1e-4 m) are None where the file is torn."""
 
@@ -173,28 +194,18 @@ def read_episode(path: Path) -> Episode:
         EpisodeError: no such file, no MCAP, no recording of this program, or of another format version.
     """
     messages: dict[str, list[tuple[float, bytes]]] = {}
-    damage: str | None = "the file ends early"
     try:
-        with path.open("rb") as file:
-            reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size)
-            topics: dict[int, str] = {}
-            try:
-                for record in reader.records:
-                    for inner in _unpack(record) if isinstance(record, Chunk) else (record,):
-                        if isinstance(inner, Channel):
-                            topics[inner.id] = inner.topic
-                        elif isinstance(inner, Message):
-                            messages.setdefault(topics[inner.channel_id], []).append((inner.log_time / 1e9, inner.data))
-                    if isinstance(record, Footer):
-                        damage = None
-            # The decoders are handed a file from anywhere and promise no list of exceptions; what they raise means
-            # that the file is not whole from here on.
-            except Exception as error:
-                damage = f"{type(error).__name__} after {sum(map(len, messages.values()))} messages"
+        whole = read_whole(path)
     except OSError as error:
         raise EpisodeError(f"cannot read the recording {path}: {error.strerror}", "give a file *.mcap") from None
+    topics: dict[int, str] = {}
+    for record in whole.records:
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message) and record.channel_id in topics:
+            messages.setdefault(topics[record.channel_id], []).append((record.log_time / 1e9, record.data))
     if not messages.get("/meta"):
-        reason = damage or "it has no channel /meta"
+        reason = whole.damage or "it has no channel /meta"
         raise EpisodeError(f"{path} is no recording of this program, or torn at its start: {reason}")
     content = _parse(path, "/meta", messages["/meta"][0][1])
     if content.pop("format", None) != FORMAT:
@@ -203,7 +214,7 @@ def read_episode(path: Path) -> Episode:
         meta = EpisodeMeta(**content)
     except TypeError as error:
         raise EpisodeError(f"{path}: /meta is incomplete: {error}") from None
-    return Episode(path, meta, damage, messages)
+    return Episode(path, meta, whole.damage, messages)
 
 
 @dataclass(frozen=True)
@@ -212,7 +223,7 @@ class Episode:
     sense.
 
     Attributes:
-        damage: None for a whole file, else what is wrong with its end.
+        damage: None for a whole file, else what is wrong with its end, and how much is whole.
         messages: topic -> (time in s, raw message).
     """
 
@@ -270,19 +281,37 @@ class Episode:
                 event = Event(time, EventKind(m["kind"]), str(m["text"]), dict(m["details"]))
             yield event
 
+    def timings(self) -> Iterator[Timing]:
+        for time, m in self._read("/timing"):
+            with self._sense("/timing", time):
+                picture = None if m["picture"] is None else _number(m["picture"])
+                timing = Timing(picture, *(_number(m[name]) for name in ("asked", "due", "computed")))
+            yield timing
+
     def pictures(self, camera: str) -> Iterator[Picture]:
         colours, depths = (dict(self.messages.get(f"/camera/{camera}/{kind}", ())) for kind in ("colour", "depth"))
+        for kind, pictures in (("colour", colours), ("depth", depths)):
+            for time, message in pictures.items():
+                with self._sense(f"/camera/{camera}/{kind}", time):
+                    pictures[time] = ros_messages.image_data(message)
         for time, m in self._read(f"/camera/{camera}/info"):
             with self._sense(f"/camera/{camera}/info", time):
                 intrinsics, pose = _vector(m["intrinsics"], 3, 3), _vector(m["world_T_cam"], 4, 4)
                 size = int(m["width"]), int(m["height"])
             yield Picture(time, camera, intrinsics, pose, *size, colours.get(time), depths.get(time))
 
+    def windows(self, camera: str) -> Iterator[tuple[float, bytes]]:
+        """Time and PNG of each part of a picture that a skill looked at."""
+        topic = f"/camera/{camera}/window"
+        for time, message in self.messages.get(topic, ()):
+            with self._sense(topic, time):
+                data = ros_messages.image_data(message)
+            yield time, data
+
     def points(self) -> Iterator[Points]:
-        for time, data in self.messages.get("/points", ()):
-            if len(data) % POINT.itemsize:
-                raise EpisodeError(f"{self.path}: /points at {time:.3f} s is no whole number of points")
-            cloud = np.frombuffer(data, POINT)
+        for time, message in self.messages.get("/points", ()):
+            with self._sense("/points", time):
+                cloud = np.frombuffer(ros_messages.cloud_data(message), POINT)
             yield Points(time, cloud["xyz"], cloud["rgb"])
 
     def _read(self, topic: str) -> Iterator[tuple[float, dict[str, Any]]]:
@@ -315,16 +344,6 @@ class _Sense:
             raise EpisodeError(f"{self._what}: {error}") from None
 
 
-def _unpack(chunk: Chunk) -> list[Schema | Channel | Message]:
-    """Records of a chunk, refusing one that would fill the memory."""
-    size = chunk.uncompressed_size
-    if chunk.compression == "zstd":
-        size = max(size, zstandard.frame_content_size(chunk.data))
-    if size > MAX_CHUNK_BYTES or chunk.compression not in ("zstd", ""):
-        raise ValueError(f"a chunk of {size} bytes, compression '{chunk.compression}'")
-    return breakup_chunk(chunk, validate_crc=True)
-
-
 def _parse(path: Path, topic: str, data: bytes) -> dict[str, Any]:
     try:
         content = json.loads(data)
@@ -342,3 +361,17 @@ def _number(value: Any) -> float:
 def _vector(value: Any, *shape: int) -> np.ndarray:
     """An array of the given shape; null becomes NaN. Raises ValueError or TypeError."""
     return np.array(value, dtype=np.float64).reshape(shape)
+
+
+def mend_episode(path: Path, out: Path) -> Episode:
+    """Copy what is whole of a torn recording to `out`, which every reader takes; the copy.
+
+    Raises:
+        EpisodeError: as `read_episode`, or `out` exists or cannot be written.
+    """
+    read_episode(path)
+    try:
+        write_whole(read_whole(path).records, out)
+    except OSError as error:
+        raise EpisodeError(f"cannot write {out}: {error.strerror}", "give another file with --mend") from None
+    return read_episode(out)

@@ -1,7 +1,8 @@
 """Writing an episode: one MCAP file, channels as listed in `core.episode`.
 
-JSON messages carry a JSON schema; pictures and points are plain bytes. Chunks are small and closed every second of
-the episode, so that a killed process loses about a second.
+JSON messages carry a JSON schema, pictures, points and what is there for viewers the definitions of ROS 2.
+A thread of its own packs and writes, so that a slow disk never holds up a robot. Chunks are small and closed every
+second of the episode, so that a killed process loses about a second.
 """
 
 from __future__ import annotations
@@ -9,9 +10,12 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields
+from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
 from types import TracebackType
 from typing import Any, Self
 
@@ -19,20 +23,25 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from mcap.writer import CompressionType, Writer
 
-from resync_robot.core.episode import FORMAT, POINT, EpisodeMeta, EventKind, plain
+from resync_robot.core import kinematics, ros_messages
+from resync_robot.core.episode import FORMAT, POINT, EpisodeMeta, EventKind, Timing, plain
+from resync_robot.core.episode_schemas import SCHEMAS
 from resync_robot.core.errors import EpisodeError
-from resync_robot.core.joints import JointTarget
+from resync_robot.core.joints import ARM_JOINTS, JointTarget
+from resync_robot.core.mcap_file import CHUNK_BYTES
 from resync_robot.core.state import State
 from resync_robot.core.world import CameraFrame
 
-CHUNK_BYTES = 128 * 1024
 FLUSH_S = 1.0
+MOST_WAITING = 20_000
+"""Messages in memory at which the disk is given up as too slow; minutes of them."""
+LEVELS = {EventKind.STOP: 40, EventKind.GIVE_UP: 40, EventKind.REPLAN: 30}
 _log = logging.getLogger(__name__)
 
 
 class EpisodeWriter:
-    """Writes one episode. Recording must not stop a robot: after the first failed write, the error is logged once,
-    kept in `error`, and the rest is dropped.
+    """Writes one episode. Recording must not stop a robot: every method returns at once, and after the first failed
+    write the error is logged once, kept in `error`, and the rest is dropped.
 
     Args:
         path: a file that does not exist yet; its folder is made.
@@ -46,6 +55,7 @@ class EpisodeWriter:
         self.path = path
         self.error: EpisodeError | None = None
         self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
         self._last_flush = -math.inf
         self._closed = False
         try:
@@ -60,7 +70,11 @@ class EpisodeWriter:
                 f"{path} exists already; recordings are never overwritten", "give another name"
             ) from None
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(profile="", library="resync-robot")
+        self._writer.start(profile="ros2", library="resync-robot")
+        self._arm = meta.rig["arm"]["world_T_base"], meta.rig["gripper"]["tip_offset"]
+        self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
+        self._thread.start()
         content = {f.name: getattr(meta, f.name) for f in fields(meta)}
         self._json("/meta", 0.0, {"format": FORMAT, **content}, flush=True)
 
@@ -84,10 +98,15 @@ class EpisodeWriter:
             "requested_opening": requested.opening,
         }
         self._json("/joints", time, content)
+        q, qd, command = np.array([*measured, opening]), np.array([*velocity, 0.0]), np.array([*sent.arm, sent.opening])
+        self.defer(lambda: self._draw_joints(time, q, qd, command))
 
     def tip_force(self, time: float, force: Float[np.ndarray, "3"]) -> None:
         """Force of the world on the hand, N, world frame."""
         self._json("/tip_force", time, {"force": force})
+        self._ros(
+            "/wrench", "geometry_msgs/msg/WrenchStamped", time, partial(ros_messages.wrench, time, "world", force)
+        )
 
     def state(self, time: float, state: State) -> None:
         """The belief about the objects."""
@@ -99,15 +118,30 @@ class EpisodeWriter:
 
     def atoms(self, time: float, atoms: Mapping[Any, float]) -> None:
         """Atoms, or their texts, with the probability that each holds."""
-        self._json("/atoms", time, {"atoms": {str(atom): float(p) for atom, p in atoms.items()}})
+        content = {str(atom): float(p) for atom, p in atoms.items()}
+        self._json("/atoms", time, {"atoms": content})
+        lines = "\n".join(f"{p:.2f} {atom}" for atom, p in sorted(content.items()))
+        self._ros("/atoms_text", "std_msgs/msg/String", time, partial(ros_messages.string, lines))
 
     def plan(self, time: float, steps: Sequence[Any], current: int | None, reason: str = "") -> None:
         """A new plan, or the step of it that is under way now."""
-        self._json("/plan", time, {"steps": [str(s) for s in steps], "current": current, "reason": reason})
+        texts = [str(s) for s in steps]
+        self._json("/plan", time, {"steps": texts, "current": current, "reason": reason})
+        lines = "\n".join(f"{'>' if i == current else ' '} {text}" for i, text in enumerate(texts))
+        self._ros("/plan_text", "std_msgs/msg/String", time, partial(ros_messages.string, f"{reason}\n{lines}"))
 
     def event(self, time: float, kind: EventKind, text: str = "", **details: Any) -> None:
         """Something that happened; `details` must be plain JSON values or arrays."""
         self._json("/event", time, {"kind": kind.value, "text": text, "details": details}, flush=True)
+        line = partial(ros_messages.log, time, LEVELS.get(kind, 20), kind.value, text)
+        self._ros("/rosout", "rcl_interfaces/msg/Log", time, line)
+
+    def timing(self, timing: Timing) -> None:
+        """When a target was asked for, and when its first setpoint was due."""
+        self._json("/timing", timing.due, asdict(timing))
+        if timing.picture is not None:
+            latency = timing.due - timing.picture
+            self._ros("/latency", "std_msgs/msg/Float64", timing.due, partial(ros_messages.number, latency))
 
     def picture(self, frame: CameraFrame, colour: bytes, depth: bytes) -> None:
         """A frame whose pictures the caller has encoded: `colour` as JPEG, `depth` as 16-bit PNG."""
@@ -119,27 +153,96 @@ class EpisodeWriter:
             "height": height,
             "depth_unit_m": CameraFrame.DEPTH_UNIT_M,
         }
-        self._json(f"/camera/{frame.name}/info", frame.time, info)
-        self._bytes(f"/camera/{frame.name}/colour", "image/jpeg", frame.time, colour)
-        self._bytes(f"/camera/{frame.name}/depth", "image/png", frame.time, depth)
+        root, where, time = f"/camera/{frame.name}", f"camera_{frame.name}", frame.time
+        self._json(f"{root}/info", time, info)
+
+        def draw() -> None:
+            millimetres = np.round(frame.depth * (1000 * CameraFrame.DEPTH_UNIT_M)).astype(np.uint16)
+            for topic, kind, data in (
+                ("/tf", "tf2_msgs/msg/TFMessage", ros_messages.transforms(time, [("world", where, frame.world_T_cam)])),
+                (
+                    f"{root}/camera_info",
+                    "sensor_msgs/msg/CameraInfo",
+                    ros_messages.camera_info(time, where, frame.intrinsics, width, height),
+                ),
+                (
+                    f"{root}/colour",
+                    "sensor_msgs/msg/CompressedImage",
+                    ros_messages.compressed_image(time, where, "jpeg", colour),
+                ),
+                (
+                    f"{root}/depth",
+                    "sensor_msgs/msg/CompressedImage",
+                    ros_messages.compressed_image(time, where, "png", depth),
+                ),
+                (f"{root}/depth_mm", "sensor_msgs/msg/Image", ros_messages.depth_image(time, where, millimetres)),
+            ):
+                self._write(topic, kind, time, data)
+
+        self.defer(draw)
+
+    def window(self, camera: str, time: float, png: bytes) -> None:
+        """A part of a picture that a skill looked at, as PNG."""
+        pack = partial(ros_messages.compressed_image, time, f"camera_{camera}", "png", png)
+        self._ros(f"/camera/{camera}/window", "sensor_msgs/msg/CompressedImage", time, pack)
 
     def points(self, time: float, xyz: Float[np.ndarray, "n 3"], rgb: UInt8[np.ndarray, "n 3"]) -> None:
         """A point cloud in the world frame, m; thin it before (10,000 points are 150 kB)."""
         cloud = np.empty(len(xyz), POINT)
         cloud["xyz"], cloud["rgb"] = xyz, rgb
-        self._bytes("/points", "xyz32f-rgb8u", time, cloud.tobytes())
+        self._ros(
+            "/points", "sensor_msgs/msg/PointCloud2", time, partial(ros_messages.point_cloud, time, "world", cloud)
+        )
+
+    def defer(self, job: Callable[[], None]) -> None:
+        """Run `job` on the recording's own thread, after all that was written before; it may write itself.
+
+        For work that would hold up the robot. Whatever it raises ends the recording.
+        """
+        if threading.current_thread() is self._thread:
+            job()
+        elif self._closed:
+            self._fail(ValueError("the recording is closed"))
+        elif self._jobs.qsize() > MOST_WAITING:
+            self._fail(OSError("the disk is too slow"))
+        elif self.error is None:
+            self._jobs.put(job)
+
+    def flush(self) -> None:
+        """Return when everything so far is in the file, for a reader that comes in between."""
+        done = threading.Event()
+
+        def flush() -> None:
+            try:
+                self._writer.flush()
+            finally:
+                done.set()
+
+        self._jobs.put(flush)
+        while not done.wait(0.1) and self._thread.is_alive():
+            pass
 
     def close(self) -> None:
         """Finish the file; may be called twice."""
         if self._closed:
             return
         self._closed = True
+        self._jobs.put(None)
+        self._thread.join()
         try:
             if self.error is None:
                 self._writer.finish()
             self._file.close()
         except OSError as error:
             self._fail(error)
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            # Whatever the encoder or the disk may raise, the arm in motion matters more.
+            try:
+                job()
+            except Exception as error:
+                self._fail(error)
 
     def __enter__(self) -> Self:
         return self
@@ -150,74 +253,55 @@ class EpisodeWriter:
         self.close()
 
     def _json(self, topic: str, time: float, content: Mapping[str, Any], flush: bool = False) -> None:
+        # A copy: what the caller gave may change before the thread comes to it.
+        copy = plain(content)
+        self.defer(lambda: self._write(topic, "json", time, json.dumps(copy, allow_nan=False).encode(), flush))
+
+    def _ros(self, topic: str, kind: str, time: float, pack: Callable[[], bytes]) -> None:
+        self.defer(lambda: self._write(topic, kind, time, pack()))
+
+    def _draw_joints(self, time: float, q: np.ndarray, qd: np.ndarray, command: np.ndarray) -> None:
+        """For viewers: measured and commanded joints, and where the links are."""
+        names = (*ARM_JOINTS, "opening")
+        kind = "sensor_msgs/msg/JointState"
+        self._write("/joint_states", kind, time, ros_messages.joint_state(time, names, q, qd))
+        self._write("/joint_commands", kind, time, ros_messages.joint_state(time, names, command, np.empty(0)))
+        if not np.isfinite(q[:6]).all():
+            return
+        world_T_base, tip_offset = np.asarray(self._arm[0]), self._arm[1]
+        frames = world_T_base @ kinematics.link_frames(q[:6])
+        tip = frames[-1].copy()
+        tip[:3, 3] += tip_offset * tip[:3, 2]
+        poses = [("world", "base", world_T_base), *(("world", j, f) for j, f in zip(ARM_JOINTS, frames, strict=True))]
+        tree = ros_messages.transforms(time, [*poses, ("world", "tip", tip)])
+        self._write("/tf", "tf2_msgs/msg/TFMessage", time, tree)
+
+    def _write(self, topic: str, kind: str, time: float, data: bytes, flush: bool = False) -> None:
+        """On the recording's thread. `kind` is json or a message of ROS 2; Rerun opens no file with any other."""
         if self.error is not None:
             return
-        try:
-            data = json.dumps(plain(content), allow_nan=False).encode()
-        except (TypeError, ValueError) as error:
-            return self._fail(error)
-        self._bytes(topic, "json", time, data, flush)
+        if topic not in self._channels:
+            self._channels[topic] = self._register(topic, kind)
+        stamp = round(time * 1e9)
+        self._writer.add_message(self._channels[topic], log_time=stamp, data=data, publish_time=stamp)
+        if flush or time >= self._last_flush + FLUSH_S:
+            self._writer.flush()
+            self._last_flush = time
 
-    def _bytes(self, topic: str, encoding: str, time: float, data: bytes, flush: bool = False) -> None:
-        if self.error is not None:
-            return
-        # Whatever the encoder or the disk may raise, the arm in motion matters more.
-        try:
-            if self._closed:
-                raise ValueError("the recording is closed")
-            if topic not in self._channels:
-                self._channels[topic] = self._register(topic, encoding)
-            stamp = round(time * 1e9)
-            self._writer.add_message(self._channels[topic], log_time=stamp, data=data, publish_time=stamp)
-            if flush or time >= self._last_flush + FLUSH_S:
-                self._writer.flush()
-                self._last_flush = time
-        except Exception as error:
-            self._fail(error)
-
-    def _register(self, topic: str, encoding: str) -> int:
-        schema = 0
-        if encoding == "json":
-            kind = topic.rsplit("/", 1)[-1]
-            data = json.dumps(_SCHEMAS[kind]).encode()
-            schema = self._writer.register_schema(f"resync_robot.{kind}", "jsonschema", data)
-        return self._writer.register_channel(topic, encoding, schema)
+    def _register(self, topic: str, kind: str) -> int:
+        if kind == "json":
+            name = topic.rsplit("/", 1)[-1]
+            schema = self._writer.register_schema(
+                f"resync_robot.{name}", "jsonschema", json.dumps(SCHEMAS[name]).encode()
+            )
+            return self._writer.register_channel(topic, "json", schema)
+        if kind not in self._schemas:
+            definition = ros_messages.DEFINITIONS[kind].encode()
+            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition)
+        return self._writer.register_channel(topic, "cdr", self._schemas[kind])
 
     def _fail(self, error: Exception) -> None:
         if self.error is not None:
             return
         self.error = EpisodeError(f"the recording {self.path} stopped: {error}", "free disk space, or record elsewhere")
         _log.error("%s", self.error)
-
-
-def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "properties": properties, "required": sorted(properties)}
-
-
-def _array(items: Any, length: int | None = None) -> dict[str, Any]:
-    bounds = {} if length is None else {"minItems": length, "maxItems": length}
-    return {"type": "array", "items": items, **bounds}
-
-
-_TEXT, _ANY, _NUMBER, _COUNT = {"type": "string"}, {"type": "object"}, {"type": ["number", "null"]}, {"type": "integer"}
-_SIX, _OBJECTS = _array(_NUMBER, 6), _object(objects=_ANY)
-_SCHEMAS = {
-    "meta": _object(
-        format=_COUNT, rig_hash=_TEXT, rig=_ANY, library_hash=_TEXT, domain=_TEXT, scenario=_TEXT, goal=_TEXT,
-        seed=_COUNT, backend=_TEXT, versions=_ANY, frames=_ANY,
-    ),
-    "joints": _object(
-        measured=_SIX, velocity=_SIX, opening=_NUMBER, sent=_SIX, sent_opening=_NUMBER, requested=_SIX,
-        requested_opening=_NUMBER,
-    ),
-    "tip_force": _object(force=_array(_NUMBER, 3)),
-    "state": _OBJECTS,
-    "truth": _OBJECTS,
-    "atoms": _object(atoms={"type": "object", "additionalProperties": _NUMBER}),
-    "plan": _object(steps=_array(_TEXT), current={"type": ["integer", "null"]}, reason=_TEXT),
-    "event": _object(kind=_TEXT, text=_TEXT, details=_ANY),
-    "info": _object(
-        intrinsics=_array(_array(_NUMBER, 3), 3), world_T_cam=_array(_array(_NUMBER, 4), 4), width=_COUNT,
-        height=_COUNT, depth_unit_m=_NUMBER,
-    ),
-}  # fmt: skip

@@ -86,7 +86,11 @@ class ControllerRig:
         lead: s of setpoints that are queued ahead; more bears a busier computer, and adds as much delay.
         freshness: s after which a state of the robot is too old to move by.
         watchdog: Hz at which the controller must hear from us, or it stops by itself.
+        gripper_table: (n, 2) position counts, rising, and openings in m, falling.
+        gripper_force: 0 to 1 of what the gripper can do.
         force_limit: N at the tip above which no motion is sent.
+        workspace_low, workspace_high: (3,) m in the world; where the tip may be.
+        full_speed: a person has watched a whole slow run at this machine; before, the tip keeps to 250 mm/s.
         emulated: an emulator stands behind the address, which also lays out scenes and gives pictures.
     """
 
@@ -96,7 +100,12 @@ class ControllerRig:
     lead: float
     freshness: float
     watchdog: float
+    gripper_table: np.ndarray
+    gripper_force: float
     force_limit: float
+    workspace_low: np.ndarray
+    workspace_high: np.ndarray
+    full_speed: bool
     emulated: bool
 
 
@@ -136,6 +145,8 @@ class Rig:
 
 _VECTORS = {
     "payload_centre": 3,
+    "workspace_low": 3,
+    "workspace_high": 3,
     "world_T_base": 7,
     "pose": 7,
     "home": 6,
@@ -166,7 +177,12 @@ _CONTROLLER = (
     "lead",
     "freshness",
     "watchdog",
+    "gripper_table",
+    "gripper_force",
     "force_limit",
+    "workspace_low",
+    "workspace_high",
+    "full_speed",
     "emulated",
 )
 _TEXT = ("address", "model", "name", "mount", "serial", "provenance")
@@ -178,6 +194,7 @@ _RANGES = {
     "lead": (0.004, 0.2),
     "freshness": (0.02, 0.5),
     "watchdog": (2.0, 100.0),
+    "gripper_force": (0.0, 1.0),
     "force_limit": (10.0, 500.0),
 }
 
@@ -268,7 +285,9 @@ def _field(value: Any, name: str, where: str) -> Any:
         if name.endswith("_limit") and np.any(vector <= 0):
             raise ConfigError(f"{where} must be positive")
         return vector
-    if name == "emulated":
+    if name == "gripper_table":
+        return _gripper_table(value, where)
+    if name in ("full_speed", "emulated"):
         if not isinstance(value, bool):
             raise ConfigError(f"{where} must be true or false, not {value!r}")
         return value
@@ -283,3 +302,18 @@ def _field(value: Any, name: str, where: str) -> Any:
     if name in _RANGES and not _RANGES[name][0] <= value <= _RANGES[name][1]:
         raise ConfigError(f"{where} is {value}", f"allowed: {_RANGES[name][0]} to {_RANGES[name][1]}")
     return float(value)
+
+
+def _gripper_table(value: Any, where: str) -> Float[np.ndarray, "n 2"]:
+    try:
+        table = np.array(value, dtype=np.float64).reshape(-1, 2)
+    except (TypeError, ValueError):
+        table = np.empty((0, 2))
+    counts, openings = table[:, 0], table[:, 1]
+    rising, falling = bool(np.all(np.diff(counts) > 0)), bool(np.all(np.diff(openings) < 0))
+    if len(table) < 2 or not (rising and falling and counts[0] >= 0 and counts[-1] <= 255 and openings[-1] >= 0):
+        raise ConfigError(
+            f"{where} must be pairs of counts that rise to 255 at most and openings in m that fall, not {value!r}",
+            "measure them: gripper_table = [[3, 0.14], [230, 0.0]]",
+        )
+    return table

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
+from resync_robot.core.episode import FORMAT, EpisodeMeta, EventKind, Timing, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.joints import JointTarget
@@ -25,6 +25,11 @@ from resync_robot.core.vocabulary import BLOCK
 from resync_robot.core.world import CameraFrame
 
 SIX = np.linspace(-1, 1, 6)
+VIEWED = (
+    "/joint_states", "/joint_commands", "/tf", "/wrench", "/plan_text", "/atoms_text", "/rosout", "/latency",
+    "/camera/wrist/camera_info", "/camera/wrist/colour", "/camera/wrist/depth", "/camera/wrist/depth_mm", "/points",
+)  # fmt: skip
+"""The channels for viewers."""
 
 
 def meta() -> EpisodeMeta:
@@ -59,6 +64,8 @@ def write(path, seconds: float = 3.0) -> None:
                     "wrist", np.zeros((4, 6, 3), np.uint8), np.zeros((4, 6), np.uint16), np.eye(3) * 2, np.eye(4), t
                 )
                 writer.picture(frame, rng.bytes(3000), b"png")
+                writer.timing(Timing(t - 0.08, t - 0.01, t, 0.002))
+        writer.flush()
         assert writer.error is None
 
 
@@ -100,6 +107,7 @@ def test_round_trip(tmp_path):
     assert (picture.time, picture.width, picture.height, picture.depth) == (2.0, 6, 4, b"png")
     assert picture.colour is not None and len(picture.colour) == 3000
     np.testing.assert_array_equal(picture.intrinsics, np.eye(3) * 2)
+    assert list(episode.timings())[1] == Timing(0.92, 0.99, 1.0, 0.002)
     cloud = next(iter(episode.points()))
     assert cloud.xyz.shape == (200, 3) and cloud.xyz.dtype == np.float32 and (cloud.rgb == 7).all()
 
@@ -121,12 +129,13 @@ def test_messages_are_standard_mcap_with_schemas(tmp_path):
     assert summary is not None
     channels = {c.topic: c for c in summary.channels.values()}
     assert set(channels) == {
-        "/meta", "/joints", "/tip_force", "/state", "/truth", "/atoms", "/plan", "/event", "/points",
-        "/camera/wrist/info", "/camera/wrist/colour", "/camera/wrist/depth",
+        "/meta", "/joints", "/tip_force", "/state", "/truth", "/atoms", "/plan", "/event",
+        "/timing", "/camera/wrist/info", *VIEWED,
     }  # fmt: skip
     schema = summary.schemas[channels["/joints"].schema_id]
     assert schema.encoding == "jsonschema" and "measured" in json.loads(schema.data)["required"]
-    assert channels["/camera/wrist/colour"].message_encoding == "image/jpeg"
+    assert {channels[topic].message_encoding for topic in VIEWED} == {"cdr"}
+    assert {summary.schemas[channels[topic].schema_id].encoding for topic in VIEWED} == {"ros2msg"}
 
 
 def test_not_a_number_survives(tmp_path):
@@ -182,7 +191,7 @@ def test_any_other_file_is_refused(scratch, content):
 def raw_episode(path, topic: str, message: bytes, record_meta: dict | None = None) -> None:
     from mcap.writer import Writer
 
-    content = {"format": 1, **{k: getattr(meta(), k) for k in meta().__dataclass_fields__}}
+    content = {"format": FORMAT, **{k: getattr(meta(), k) for k in meta().__dataclass_fields__}}
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
@@ -207,20 +216,27 @@ def raw_episode(path, topic: str, message: bytes, record_meta: dict | None = Non
         ("/event", b'{"kind": "party", "text": "", "details": {}}'),
         ("/event", b"[" * 100_000),
         ("/camera/a/info", b'{"intrinsics": [[1]]}'),
+        ("/camera/a/colour", b"a plain JPEG"),
+        ("/camera/a/colour", b"\x00\x01\x00\x00" + b"\xff" * 30),
+        ("/timing", b'{"picture": null}'),
         ("/points", b"1234567"),
+        ("/points", b"\x00\x01\x00\x00" + bytes(40)),
     ],
 )
 def test_a_senseless_message_is_an_error_that_names_its_channel(tmp_path, topic, message):
     path = tmp_path / "e.mcap"
     raw_episode(path, topic, message)
     episode = read_episode(path)
-    read = {"/joints": episode.joints, "/state": episode.states, "/atoms": episode.atoms, "/plan": episode.plans,
-            "/event": episode.events, "/points": episode.points}.get(topic, lambda: episode.pictures("a"))  # fmt: skip
+    readers = {
+        "/joints": episode.joints, "/state": episode.states, "/atoms": episode.atoms, "/plan": episode.plans,
+        "/event": episode.events, "/timing": episode.timings, "/points": episode.points,
+    }  # fmt: skip
+    read = readers.get(topic, lambda: episode.pictures("a"))
     with pytest.raises(EpisodeError, match=topic):
         list(read())
 
 
-@pytest.mark.parametrize("content", [{"format": 2}, {"format": 1}, {"format": 1, "strange": 3}])
+@pytest.mark.parametrize("content", [{"format": 1}, {"format": FORMAT}, {"format": FORMAT, "strange": 3}])
 def test_meta_of_another_format_is_refused(tmp_path, content):
     raw_episode(tmp_path / "e.mcap", "/x", b"", content)
     with pytest.raises(EpisodeError):
@@ -243,6 +259,7 @@ def test_a_failing_write_is_reported_once_and_never_raised(tmp_path, caplog):
     with caplog.at_level(logging.ERROR), EpisodeWriter(path, meta()) as writer:
         writer.tip_force(0.0, np.zeros(3))
         writer.event(0.1, EventKind.SCAN, "first")
+        writer.flush()
         os.close(writer._file.fileno())  # the disk goes away
         for k in range(200):
             writer.tip_force(0.2 + k, np.zeros(3))
@@ -262,7 +279,7 @@ def test_what_json_cannot_hold_is_reported_and_never_raised(tmp_path, caplog):
 def test_a_killed_process_loses_about_a_second(tmp_path):
     path = tmp_path / "e.mcap"
     program = textwrap.dedent(f"""
-        import os, signal
+        import os, signal, time
         from pathlib import Path
         import numpy as np
         from resync_robot.core.episode import EpisodeMeta
@@ -272,6 +289,7 @@ def test_a_killed_process_loses_about_a_second(tmp_path):
         writer = EpisodeWriter(Path({str(path)!r}), meta)
         for k in range(500):
             writer.tip_force(k * 0.02, np.zeros(3))
+            time.sleep(1e-3)  # what still waits in memory is lost too
         os.kill(os.getpid(), signal.SIGKILL)
     """)
     done = subprocess.run([sys.executable, "-c", program], check=False)

@@ -4,18 +4,38 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hardware.base import RobotError, StaleError
-from hardware.realsense import PipelineSource, RealSense, Stream, load_pyrealsense2
+from hardware.base import RobotError, SkewError, StaleError, WindowedCamera
+from hardware.realsense import FRESH_S, RealSense
+from hardware.realsense_device import PipelineSource, load_pyrealsense2
+from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import CameraRig, Rig
+from resync_robot.core.world import Window
+from tests.hardware.software_camera import DEPTH_M, HEIGHT, WIDTH, SoftwareSource
 
-WIDTH, HEIGHT = 160, 120
-DEPTH_M = 0.5
+WINDOW = Window(40.0, 30.0, 48.0, 48.0)
+
+
+def succeeds(action: Callable[[], object]) -> bool:
+    try:
+        action()
+    except RobotError:
+        return False
+    return True
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 5.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
 
 
 @pytest.fixture
@@ -29,81 +49,6 @@ def rs() -> Any:
 @pytest.fixture
 def camera(rig: Rig) -> CameraRig:
     return replace(rig.camera("wrist"), width=WIDTH, height=HEIGHT, fx=120.0, fy=120.0, cx=80.0, cy=60.0)
-
-
-class SoftwareSource:
-    """A software device that gives a pair of pictures for every `wait`.
-
-    Attributes:
-        age_s: how old they are; `skew_s`: how much younger the depth is; `silent`: there are none.
-    """
-
-    def __init__(self, rs: Any, colour: int = 90) -> None:
-        self._rs, self._colour, self._number = rs, colour, 0
-        self.age_s, self.skew_s, self.silent, self.stopped = -0.005, 0.0, False, False
-
-    def start(self) -> Stream:
-        rs = self._rs
-        self._begin = time.time()
-        self._device = rs.software_device()
-        intrinsics = rs.intrinsics()
-        intrinsics.width, intrinsics.height = WIDTH, HEIGHT
-        intrinsics.fx = intrinsics.fy = 120.0
-        intrinsics.ppx, intrinsics.ppy = 80.0, 60.0
-        intrinsics.model = rs.distortion.none
-        self._sensors, self._profiles = {}, {}
-        for uid, (name, kind, form, size) in enumerate(
-            (("depth", rs.stream.depth, rs.format.z16, 2), ("colour", rs.stream.color, rs.format.rgb8, 3))
-        ):
-            sensor = self._device.add_sensor(name)
-            stream = rs.video_stream()
-            stream.type, stream.index, stream.uid, stream.width, stream.height = kind, 0, uid, WIDTH, HEIGHT
-            stream.fps, stream.bpp, stream.fmt, stream.intrinsics = 30, size, form, intrinsics
-            self._profiles[name] = rs.video_stream_profile(sensor.add_video_stream(stream))
-            if name == "depth":
-                sensor.add_read_only_option(rs.option.depth_units, 0.001)
-            self._sensors[name] = sensor
-        extrinsics = rs.extrinsics()
-        extrinsics.rotation, extrinsics.translation = [1, 0, 0, 0, 1, 0, 0, 0, 1], [0, 0, 0]
-        self._profiles["depth"].register_extrinsics_to(self._profiles["colour"], extrinsics)
-        self._device.create_matcher(rs.matchers.dlr_c)
-        self._syncer = rs.syncer(8)
-        for name, sensor in self._sensors.items():
-            sensor.open(self._profiles[name])
-            sensor.start(self._syncer)
-        return Stream(np.array([[120.0, 0, 80.0], [0, 120.0, 60.0], [0, 0, 1.0]]), 0.001, (WIDTH, HEIGHT))
-
-    def wait(self, seconds: float) -> Any:
-        if self.silent:
-            return None
-        rs = self._rs
-        # At the rate that the profiles promise: the matcher goes by it.
-        self._number += 1
-        taken = self._begin + self._number / 30
-        time.sleep(max(0.0, taken - time.time()))
-        now = 1000 * (taken - self.age_s)
-        depth = np.full((HEIGHT, WIDTH), round(DEPTH_M * 1000), np.uint16)
-        colour = np.full((HEIGHT, WIDTH, 3), self._colour, np.uint8)
-        for name, pixels, size, stamp in (
-            ("depth", depth, 2, now + 1000 * self.skew_s),
-            ("colour", colour, 3, now),
-        ):
-            frame = rs.software_video_frame()
-            frame.pixels, frame.stride, frame.bpp = pixels, WIDTH * size, size
-            frame.timestamp, frame.frame_number = stamp, self._number
-            frame.domain = rs.timestamp_domain.global_time
-            frame.profile = self._profiles[name]
-            if name == "depth":
-                frame.depth_units = 0.001
-            self._sensors[name].on_video_frame(frame)
-        found, frames = self._syncer.try_wait_for_frames(15)
-        return frames if found else self.wait(seconds)
-
-    def stop(self) -> None:
-        self.stopped = True
-        for sensor in self._sensors.values():
-            sensor.stop()
-            sensor.close()
 
 
 def test_a_picture_has_the_pixels_pose_and_intrinsics(rs: Any, camera: CameraRig) -> None:
@@ -125,19 +70,121 @@ def test_a_picture_has_the_pixels_pose_and_intrinsics(rs: Any, camera: CameraRig
 
 def test_no_pictures_is_one_error_in_time(rs: Any, camera: CameraRig) -> None:
     source = SoftwareSource(rs)
-    with RealSense(camera, lambda: np.eye(4), source, warm_up=1) as device:
+    with RealSense(camera, lambda: np.eye(4), source, warm_up=4) as device:
         source.silent = True
-        with pytest.raises(StaleError, match="no picture came"):
+        # One may be under way.
+        time.sleep(0.1)
+        with pytest.raises(StaleError, match=r"gave nothing usable for 1\.0 s: the newest was exposed"):
             device.capture()
+
+
+def test_a_camera_that_never_gives_a_picture_does_not_connect(rs: Any, camera: CameraRig) -> None:
+    source = SoftwareSource(rs)
+    source.silent = True
+    with pytest.raises(StaleError, match="no picture came"):
+        RealSense(camera, lambda: np.eye(4), source).connect()
+    assert source.stopped
 
 
 def test_old_pictures_are_not_passed_off_as_new(rs: Any, camera: CameraRig) -> None:
     source = SoftwareSource(rs)
     source.age_s = 30.0
     with RealSense(camera, lambda: np.eye(4), source, warm_up=4) as device:
-        with pytest.raises(StaleError, match="older than the request"):
+        with pytest.raises(StaleError, match=r"was exposed 3\d\.\d\d s ago"):
+            device.capture()
+        with pytest.raises(StaleError, match=r"was exposed 3\d\.\d\d s ago"):
+            device.cut_out(WINDOW, 16)
+
+
+def test_depth_and_colour_of_two_moments_are_no_picture(
+    rs: Any, camera: CameraRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = SoftwareSource(rs)
+    with RealSense(camera, lambda: np.eye(4), source, warm_up=4) as device:
+        device.capture()
+        # Less than half a frame: the syncer still pairs them.
+        source.skew_s = 0.012
+        device.capture()
+        monkeypatch.setattr("hardware.realsense.MOST_SKEW_S", 0.010)
+        with pytest.raises(SkewError, match="12 ms apart"):
             device.capture()
         assert device.dropped > 0
+
+
+def test_a_part_of_the_newest_picture_is_there_at_once(rs: Any, camera: CameraRig) -> None:
+    """Three cameras at 10 Hz, as a skill looks through them: nothing waits for an exposure."""
+    sources = [SoftwareSource(rs, colour) for colour in (30, 60, 90)]
+    now = time.time()
+    with ExitStack() as stack:
+        devices = [
+            stack.enter_context(RealSense(camera, lambda: np.eye(4), source, lambda: time.time() - now, warm_up=4))
+            for source in sources
+        ]
+        for device in devices:
+            assert isinstance(device, WindowedCamera)
+            device.cut_out(WINDOW, 16)
+        took, ages = [], []
+        for _ in range(10):
+            begin = time.perf_counter()
+            parts = [device.cut_out(WINDOW, 16) for device in devices]
+            took.append(time.perf_counter() - begin)
+            assert [int(part.colour[8, 8, 0]) for part in parts] == [30, 60, 90]
+            ages += [time.time() - now - part.time for part in parts]
+            time.sleep(0.05)
+    assert np.median(took) < 0.03, "less than a frame for all three"
+    # On the robot's clock, and never older than promised.
+    assert max(ages) <= FRESH_S + max(took)
+    assert min(ages) > -0.05
+
+
+def test_a_camera_that_falls_silent_is_noticed_within_the_limit(rs: Any, camera: CameraRig) -> None:
+    source = SoftwareSource(rs)
+    with RealSense(camera, lambda: np.eye(4), source, warm_up=4) as device:
+        device.cut_out(WINDOW, 16)
+        source.silent = True
+        begin = time.monotonic()
+        with pytest.raises(StaleError, match=r"the newest was exposed 0\.[12]"):
+            while True:
+                device.cut_out(WINDOW, 16)
+        assert time.monotonic() - begin < 2 * FRESH_S + 0.3
+        source.silent = False
+        wait_until(lambda: succeeds(lambda: device.cut_out(WINDOW, 16)))
+
+
+def test_an_unplugged_camera_is_one_error_from_then_on(rs: Any, camera: CameraRig) -> None:
+    source = SoftwareSource(rs)
+    with RealSense(camera, lambda: np.eye(4), source, warm_up=4) as device:
+        device.capture()
+        source.gone = True
+        for ask in (device.capture, lambda: device.cut_out(WINDOW, 16)):
+            with pytest.raises(RobotError, match="camera 123 is gone"):
+                while True:
+                    ask()
+
+
+def test_a_window_beside_the_picture_is_named(rs: Any, camera: CameraRig) -> None:
+    with (
+        RealSense(camera, lambda: np.eye(4), SoftwareSource(rs), warm_up=4) as device,
+        pytest.raises(PerceptionError, match="shows nothing of a picture of 160 x 120"),
+    ):
+        device.cut_out(Window(WIDTH + 5.0, 10.0, 20.0, 20.0), 16)
+
+
+def test_a_recording_plays_through_the_real_pipeline(rs: Any, camera: CameraRig, tmp_path: Path) -> None:
+    source = SoftwareSource(rs, file=tmp_path / "camera.db3")
+    source.start()
+    for _ in range(30):
+        source.wait(1.0)
+    source.stop()
+    played = PipelineSource("123", (WIDTH, HEIGHT), recording=tmp_path / "camera.db3")
+    with RealSense(camera, lambda: np.eye(4), played, warm_up=2, fresh=False) as device:
+        frame = device.capture()
+        assert (device.cut_out(WINDOW, 16).colour == 90).all()
+        with pytest.raises(StaleError):
+            while True:
+                device.capture()
+    assert (frame.colour == 90).all()
+    np.testing.assert_allclose(frame.depth[20:-20, 20:-20], DEPTH_M / frame.DEPTH_UNIT_M, rtol=0.005)
 
 
 def test_a_camera_that_delivers_another_size_is_named(rs: Any, camera: CameraRig) -> None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hardware.base import SERVO_PERIOD, RobotError
+from hardware.base import SERVO_PERIOD, Command, RobotError, RobotState
 from hardware.replay import ReplayCamera, ReplayRobot, ReplayTruth
 from resync_robot.core.episode import Episode, EpisodeMeta, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
@@ -16,8 +16,11 @@ from resync_robot.core.errors import EpisodeError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
-from resync_robot.core.world import CameraFrame
+from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.recorder import Recorder
 from tests import scenes
+
+STILL = Command(0.0, JointTarget(np.zeros(6), 0.1), JointTarget(np.zeros(6), 0.1))
 
 
 def write(path: Path, rig: Rig, joints: bool = True, pictures: int = 2) -> Episode:
@@ -80,6 +83,28 @@ def test_pictures_come_in_order_until_there_are_none(episode: Episode) -> None:
         assert [int(f.depth[0, 0]) for f in frames] == [5000, 5001]
         with pytest.raises(RobotError, match="only 2 pictures"):
             camera.capture()
+
+
+def test_looks_during_a_skill_come_back_bit_by_bit(tmp_path: Path, rig: Rig) -> None:
+    rng = np.random.default_rng(0)
+    meta = EpisodeMeta.of(rig, library_hash="", domain="d", scenario="s", goal="g", seed=0, backend="sim")
+    looks = [Cutout("front", rng.integers(0, 255, (16, 16, 3), np.uint8), 0.1 * k) for k in range(3)]
+    with EpisodeWriter(tmp_path / "e.mcap", meta) as writer:
+        recorder = Recorder(writer, lambda: 0.0)
+        for look in looks:
+            recorder.on_look(look)
+        recorder.on_stream(RobotState(0.0, rig.arm.home, np.zeros(6), np.zeros(3), 0.1), STILL)
+    episode = read_episode(tmp_path / "e.mcap")
+    camera = ReplayCamera(episode, "front", ReplayRobot(episode))
+    for look in looks:
+        seen = camera.cut_out(Window(0.0, 0.0, 9.0, 9.0), 16)
+        np.testing.assert_array_equal(seen.colour, look.colour)
+        assert seen.time == pytest.approx(look.time)
+    with pytest.raises(RobotError, match="only 3 looks"):
+        camera.cut_out(Window(0.0, 0.0, 9.0, 9.0), 16)
+    again = ReplayCamera(episode, "front", ReplayRobot(episode))
+    with pytest.raises(EpisodeError, match="is not 32 px wide"):
+        again.cut_out(Window(0.0, 0.0, 9.0, 9.0), 32)
 
 
 def test_a_recording_without_joints_or_objects_is_refused(tmp_path: Path, rig: Rig) -> None:

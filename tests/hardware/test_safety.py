@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import ast
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+import hardware
 from hardware.base import SERVO_PERIOD, SafetyError
-from hardware.safety import MAX_GRIPPER_SPEED, Guard, heights
+from hardware.clearance import Obstacle
+from hardware.safety import FIRST_RUN_SPEED, MAX_GRIPPER_SPEED, Guard, heights
+from hardware.stream import Stream
 from resync_robot.core import kinematics, spatial
-from resync_robot.core.joints import ARM_JOINTS
+from resync_robot.core.joints import ARM_JOINTS, JointTarget
+from resync_robot.core.rig import load_rig
+from tests.emulators import RIG_FILE
 
 FEW = settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -167,3 +176,114 @@ def test_whatever_is_asked_what_is_sent_obeys_the_limits(perfect_robot, rig, blo
 def test_a_robot_measured_outside_its_limits_is_not_started(perfect_robot, rig):
     with pytest.raises(SafetyError, match="elbow_joint"):
         Guard(perfect_robot(np.array([0, -1.5, 3.2, 0, 0, 0])), rig)
+
+
+CONFIRMED = load_rig(RIG_FILE)
+"""A rig with a controller."""
+
+
+def limited(**controller):
+    return replace(CONFIRMED, controller=replace(CONFIRMED.controller, **controller))
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", ["low", "high"])
+def test_the_tip_stays_in_the_workspace(perfect_robot, axis, side):
+    rig = CONFIRMED
+    tip = rig.tip_pose(rig.arm.home)[:3, 3]
+    edge = {s: getattr(rig.controller, f"workspace_{s}").copy() for s in ("low", "high")}
+    edge[side][axis] = tip[axis] + (0.002 if side == "low" else -0.002)
+    narrow = limited(workspace_low=edge["low"], workspace_high=edge["high"])
+    with pytest.raises(SafetyError, match=f"{'xyz'[axis]} = ") as caught:
+        Guard(perfect_robot(rig.arm.home), narrow)
+    assert caught.value.quantity == "workspace"
+    assert caught.value.value == pytest.approx(tip[axis])
+
+
+def test_parts_of_the_arm_do_not_meet(guard, robot, rig):
+    folded = rig.arm.home.copy()
+    folded[4] = -3.0
+    with pytest.raises(SafetyError) as caught:
+        guard.check_target(folded, 0.1)
+    assert caught.value.quantity == "clearance" and caught.value.value < caught.value.limit
+    # Nor on the way to a place that is free.
+    stream = Stream(robot, rig, guard=guard)
+    beyond = rig.arm.home.copy()
+    beyond[4] = -4.6
+    with pytest.raises(SafetyError, match="mm from"):
+        stream.run(JointTarget(beyond, 0.1), 4.0, travel=True)
+    assert robot.sent == []
+
+
+def test_only_the_hand_comes_near_an_obstacle(guard, rig):
+    tip = rig.tip_pose(rig.arm.home)
+    at_tip = Obstacle("box", spatial.transform(None, tip[:3, 3]), np.array([0.2, 0.2, 0.05]))
+    guard.keep_out(at_tip)
+    guard.check_target(rig.arm.home, 0.1)
+    at_wrist = Obstacle("post", spatial.transform(None, tip[:3, 3] + np.array([0, 0, 0.3])), np.array([0.1, 0.1, 0.05]))
+    guard.keep_out(at_tip, at_wrist)
+    with pytest.raises(SafetyError, match="mm from post"):
+        guard.check_target(rig.arm.home, 0.1)
+
+
+def turn(stream, rig, speed, seconds, joint=0):
+    for k in range(1, round(seconds / 0.1) + 1):
+        q = rig.arm.home.copy()
+        q[joint] += speed * 0.1 * k
+        stream.run(JointTarget(q, 0.1), 0.1)
+
+
+def tip_speeds(robot, rig):
+    tips = np.array([rig.tip_pose(q)[:3, 3] for q in [rig.arm.home, *robot.sent]])
+    return np.linalg.norm(np.diff(tips, axis=0), axis=1) / SERVO_PERIOD
+
+
+@pytest.mark.parametrize("speed", [0.3, 2.0])
+def test_until_it_is_confirmed_the_tip_is_slow_and_gets_there(perfect_robot, speed):
+    rig = limited(full_speed=False)
+    robot = perfect_robot(rig.arm.home)
+    stream = Stream(robot, rig)
+    turn(stream, rig, speed, 0.5)
+    stream.settle(1e-4)
+    assert tip_speeds(robot, rig).max() <= FIRST_RUN_SPEED
+    np.testing.assert_allclose(robot.sent[-1][0], rig.arm.home[0] + 0.5 * speed, atol=1e-3)
+    confirmed = perfect_robot(rig.arm.home)
+    turn(Stream(confirmed, CONFIRMED), CONFIRMED, speed, 0.5)
+    assert len(robot.sent) > 2 * len(confirmed.sent)
+
+
+def test_until_it_is_confirmed_the_guard_itself_refuses_a_fast_tip(perfect_robot):
+    slow, robot = limited(full_speed=False), perfect_robot(CONFIRMED.arm.home)
+    stream = Stream(robot, CONFIRMED, guard=Guard(robot, slow))
+    with pytest.raises(SafetyError, match="confirmed") as caught:
+        turn(stream, CONFIRMED, 1.0, 1.0)
+    assert caught.value.quantity == "tip speed"
+    assert caught.value.value > FIRST_RUN_SPEED == caught.value.limit
+
+
+def test_until_it_is_confirmed_it_still_brakes_as_hard_as_it_can(perfect_robot):
+    rig = limited(full_speed=False)
+    robot = perfect_robot(rig.arm.home)
+    stream = Stream(robot, rig)
+    turn(stream, rig, 0.3, 1.0)
+    before = len(robot.sent)
+    stream.stop()
+    assert len(robot.sent) - before < 0.15 / SERVO_PERIOD
+
+
+def test_the_guard_is_the_only_road_to_a_command():
+    """No other source file hands a setpoint to a robot, and one alone to the controller's client."""
+    root = Path(hardware.__file__).parents[1]
+    rooms = ("hardware", "resync_robot", "sim_training", "perception", "policies", "calibration")
+    callers, senders = set(), set()
+    for file in (f for room in rooms for f in (root / room).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Attribute):
+                if node.attr in ("servo", "play") and not (
+                    isinstance(node.value, ast.Name) and node.value.id == "self"
+                ):
+                    callers.add(file.relative_to(root).as_posix())
+                if node.attr in ("servoJ", "servoL", "moveJ", "moveL", "speedJ", "speedL"):
+                    senders.add(file.relative_to(root).as_posix())
+    assert callers == {"hardware/safety.py"}
+    assert senders == {"hardware/ur_link.py"}

@@ -13,6 +13,9 @@ from hardware.sim import SimRobot
 from hardware.stream import JUMP_SLACK, OVERSHOOT, Stream
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import load_rig
+from tests.emulators import RIG_FILE
+from tests.hardware.adversary import KINDS, assert_nothing_out_of_limits, attack
 
 FEW = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -140,7 +143,7 @@ def test_a_refused_target_brakes_the_arm_within_its_limits(stream, robot, rig):
 def test_a_jump_is_refused_unless_it_is_asked_for_as_a_travel(perfect_robot, rig, change, duration):
     robot = perfect_robot(rig.arm.home)
     stream = Stream(robot, rig)
-    goal = JointTarget(rig.arm.home + change * np.array([1, 0, 0, 0, 1, 1]), 0.1)
+    goal = JointTarget(rig.arm.home + change * np.array([1, 0, 0, 0, 0, 1]), 0.1)
     reach = rig.arm.velocity_limit[0] * duration + JUMP_SLACK
     far = np.abs(goal.arm - rig.arm.home).max() > reach
     if far:
@@ -220,3 +223,27 @@ def test_restart_takes_the_measured_pose(lagging_physics, rig):
         stream.restart()
         stream.run(stream.target, 0.01)
         np.testing.assert_allclose(physics.driven[-1][0], rig.arm.home - 0.1, atol=1e-9)
+
+
+@given(st.lists(st.sampled_from(KINDS), min_size=1, max_size=60), st.integers(0, 2**32 - 1))
+@FEW
+def test_no_adversarial_target_is_sent(perfect_robot, kinds, seed):
+    attacked(perfect_robot, kinds, seed)
+
+
+@pytest.mark.slow
+@given(st.permutations(KINDS), st.integers(0, 2**32 - 1))
+@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+def test_no_target_of_a_hundred_thousand_adversarial_ones_is_sent(perfect_robot, kinds, seed):
+    attacked(perfect_robot, kinds * (1000 // len(kinds)), seed)
+
+
+def attacked(perfect_robot, kinds, seed):
+    rig, rng = load_rig(RIG_FILE), np.random.default_rng(seed)
+    robot = perfect_robot(rig.arm.home)
+    stream = Stream(robot, rig)
+    taken = [kind for kind in kinds if attack(stream, rig, kind, rng)]
+    assert not {"not a number", "wrong length", "opening", "duration"} & set(taken)
+    if robot.sent:
+        assert_nothing_out_of_limits(robot.sent, rig)
+        assert all(0.0 <= opening <= rig.gripper.max_opening for opening in robot.openings)

@@ -20,6 +20,7 @@ from hardware.emulator.faults import FAULTS
 from hardware.emulator.server import Emulator
 from hardware.robotiq import Robotiq
 from hardware.stream import Stream
+from hardware.travel import travel
 from hardware.ur7e import Ur7e
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
@@ -76,6 +77,11 @@ def during_motion(robot: Ur7e, rig: Rig, happen: Callable[[], object]) -> BaseEx
     return caught.value
 
 
+def link_of(robot: Ur7e) -> subprocess.Popen[bytes]:
+    assert robot._link is not None
+    return robot._link.process
+
+
 def is_still(machine: Emulator) -> bool:
     return bool(np.abs(machine.controller.velocity).max() < 1e-9)
 
@@ -93,6 +99,9 @@ def wait_for(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
         ("emergency-stop", "emergency stop is pressed"),
         ("system-emergency-stop", "emergency stop of the system"),
         ("safeguard-stop", "safeguard"),
+        ("automatic-safeguard-stop", "safeguard"),
+        ("enabling-stop", "enabling device is not held"),
+        ("recovery", "outside its safety limits"),
         ("violation", "VIOLATION"),
         ("safety-fault", "safety system has a fault"),
         ("program-stop", "control program was stopped"),
@@ -122,7 +131,11 @@ def test_a_stop_ends_the_motion_and_nothing_resumes_it(
     ("mode", "word"),
     [
         (SafetyMode.ROBOT_EMERGENCY_STOP, "release it and switch the arm on"),
+        (SafetyMode.SYSTEM_EMERGENCY_STOP, "release it and switch the arm on"),
         (SafetyMode.SAFEGUARD_STOP, "safeguard"),
+        (SafetyMode.AUTOMATIC_MODE_SAFEGUARD_STOP, "safeguard"),
+        (SafetyMode.SYSTEM_THREE_POSITION_ENABLING_STOP, "enabling device"),
+        (SafetyMode.VIOLATION, "safety limit was violated"),
         (SafetyMode.FAULT, "has a fault"),
         (SafetyMode.RECOVERY, "outside its safety limits"),
     ],
@@ -170,10 +183,40 @@ def test_a_protective_stop_is_acknowledged_after_5_s_and_begins_where_the_arm_is
         np.testing.assert_allclose(wire[before][1], here, atol=1e-6)
 
 
+def test_an_acknowledgement_that_comes_too_early_is_an_error(
+    machine: Emulator, robot: Ur7e, rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hardware.ur7e.UNLOCK_AFTER_S", 0.5)
+    with robot:
+        during_motion(robot, rig, lambda: machine.call(machine.controller.protective_stop))
+        with pytest.raises(ProtectiveStopError, match="was not released: Cannot unlock"):
+            robot.acknowledge_stop()
+        assert machine.controller.safety_mode is SafetyMode.PROTECTIVE_STOP
+        # Once it is old enough, the same robot takes it.
+        monkeypatch.undo()
+        robot.acknowledge_stop()
+        assert machine.controller.safety_mode is SafetyMode.NORMAL
+        assert robot.state().time > 5.0
+
+
+def test_a_stop_that_stays_locked_is_an_error(
+    machine: Emulator, robot: Ur7e, rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with robot:
+        during_motion(robot, rig, lambda: machine.call(machine.controller.protective_stop))
+        monkeypatch.setattr(machine.controller, "unlock_protective_stop", lambda: True)
+        with pytest.raises(ProtectiveStopError, match="stays locked"):
+            robot.acknowledge_stop()
+        with pytest.raises(RobotError, match="not connected"):
+            robot.servo(rig.arm.home, 0.1)
+    assert machine.controller.uploads == 1
+
+
 def test_a_second_protective_stop_waits_again(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
     with robot:
         during_motion(robot, rig, lambda: machine.call(machine.controller.protective_stop))
         robot.acknowledge_stop()
+        travel(Stream(robot, rig), rig.arm.home)
         during_motion(robot, rig, lambda: machine.call(machine.controller.protective_stop))
         stopped = machine.controller.time
         robot.acknowledge_stop()
@@ -181,23 +224,28 @@ def test_a_second_protective_stop_waits_again(machine: Emulator, robot: Ur7e, ri
         assert machine.controller.protective_stops == 2
 
 
-def test_silence_of_the_controller_stops_the_setpoints(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+def test_silence_of_the_controller_stops_the_motion(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
     """Data stops, but what we send would still be obeyed: the arm must get nothing more."""
-    at: list[float] = []
+    muted: list[float] = []
+    moving = [0.0]
+
+    def watch(emulator: Emulator) -> None:
+        if np.abs(emulator.controller.velocity).max() > 1e-9:
+            moving[0] = emulator.controller.time
 
     def mute() -> None:
         machine.mute = True
-        at.append(machine.controller.time)
+        muted.append(machine.controller.time)
 
+    machine.call(lambda: machine.every_tick.append(watch))
     with robot:
         error = during_motion(robot, rig, lambda: machine.call(mute))
         assert isinstance(error, StaleError)
         assert rig.controller is not None
-        time.sleep(0.2)
-        last = (machine.controller.wire or [])[-1][0]
-        # Its clock is the emulator's own; on a busy machine the limit's 50 ms get 100 more.
-        assert last - at[0] <= rig.controller.freshness + 0.150
-        assert wait_for(lambda: is_still(machine), 1.0)
+        assert wait_for(lambda: machine.controller.time > moving[0] + 0.2), "the emulated clock stands still"
+        # On the emulator's own clock.
+        assert muted[0] < moving[0] <= muted[0] + rig.controller.freshness + 0.050
+        assert is_still(machine)
         with pytest.raises(StaleError):
             robot.state()
 
@@ -212,10 +260,21 @@ def test_a_frozen_controller_is_noticed(machine: Emulator, robot: Ur7e, rig: Rig
     assert wait_for(lambda: machine.controller.program is None)
 
 
+def test_a_controller_that_is_switched_off_is_one_error_and_no_zombie(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    with robot:
+        process = link_of(robot)
+        began = time.monotonic()
+        error = during_motion(robot, rig, machine.close)
+        assert isinstance(error, StaleError)
+        assert time.monotonic() - began < 8.0
+        with pytest.raises(RobotError):
+            robot.servo(rig.arm.home, 0.1)
+    assert process.poll() is not None
+
+
 def test_a_dropped_link_is_one_error_one_upload_and_no_zombie(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
     with robot:
-        process = robot._process
-        assert process is not None
+        process = link_of(robot)
         error = during_motion(robot, rig, lambda: machine.call(machine.drop_link))
         assert isinstance(error, StaleError)
         assert wait_for(lambda: machine.controller.program is None)
@@ -228,8 +287,7 @@ def test_a_dropped_link_is_one_error_one_upload_and_no_zombie(machine: Emulator,
 
 def test_a_killed_link_process_is_noticed(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
     with robot:
-        process = robot._process
-        assert process is not None
+        process = link_of(robot)
         error = during_motion(robot, rig, lambda: process.send_signal(signal.SIGSEGV))
         assert "SIGSEGV" in str(error)
         assert wait_for(lambda: is_still(machine) and machine.controller.program is None)
@@ -239,6 +297,7 @@ DRIVER = """
 import sys, numpy as np
 from hardware.robotiq import Robotiq
 from hardware.stream import Stream
+from hardware.travel import travel
 from hardware.ur7e import Ur7e
 from resync_robot.core.joints import JointTarget
 from tests import emulators
@@ -250,7 +309,7 @@ with Ur7e(rig, Robotiq(sys.argv[1])) as robot:
         q[0] += 0.2 * np.sin(0.04 * k)
         stream.run(JointTarget(q, 0.1), 0.02)
         if k == 20:
-            print("moving", robot._process.pid, flush=True)
+            print("moving", robot._link.process.pid, flush=True)
 """
 
 
@@ -278,9 +337,13 @@ def test_a_killed_client_leaves_the_robot_stopped(machine: Emulator, link_too: b
 
 
 def test_only_one_program_controls_the_robot(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
-    with robot, pytest.raises(RobotError, match=r"another program controls|no control of"):
-        Ur7e(rig, Robotiq(machine.address)).connect()
-    assert machine.controller.uploads == 1
+    """And whoever is refused leaves the other one's program alone."""
+    with robot:
+        with pytest.raises(RobotError, match=r"another program controls|no control of"):
+            Ur7e(rig, Robotiq(machine.address)).connect()
+        assert machine.controller.uploads == 1
+        assert machine.controller.program is not None
+        robot.servo(robot.state().q, 0.1)
 
 
 def test_payload_and_tcp_are_set_and_verified(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
@@ -299,6 +362,24 @@ def test_a_controller_that_keeps_another_tcp_is_not_driven(
     with pytest.raises(RobotError, match="TCP"):
         robot.connect()
     assert machine.controller.wire == []
+
+
+def test_a_controller_that_keeps_another_payload_is_not_driven(
+    machine: Emulator, robot: Ur7e, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(type(machine.controller), "payload", property(lambda c: 0.3, lambda c, v: None), raising=False)
+    with pytest.raises(RobotError, match=r"payload of 0\.3 kg, not 1\.2"):
+        robot.connect()
+    assert machine.controller.wire == []
+    assert wait_for(lambda: machine.controller.program is None)
+
+
+@pytest.mark.parametrize(("fault", "word"), [("gripper-silent", "emergency stop"), ("gripper-fault", "current is too")])
+def test_a_gripper_in_trouble_ends_the_motion(machine: Emulator, robot: Ur7e, rig: Rig, fault: str, word: str) -> None:
+    with robot:
+        error = during_motion(robot, rig, lambda: machine.call(lambda: FAULTS[fault](machine)))
+        assert word in str(error)
+        assert wait_for(lambda: is_still(machine)), "it brakes along the way that was sent with the last setpoints"
 
 
 @pytest.mark.parametrize(("slider", "mode", "fraction"), [(0.5, 1, 0.5), (1.0, 2, 0.5), (0.25, 1, 0.25)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from hardware.emulator.arm import KinematicArm
 from hardware.emulator.controller import Controller, ControllerSettings, RobotMode, Runtime, SafetyMode
 from hardware.emulator.dashboard import DashboardClient
 from hardware.emulator.program import DONE, READY, Command
+from hardware.emulator.rtde import RtdeClient, packet
 from hardware.emulator.script import ScriptClient
 from resync_robot.core import kinematics
 from resync_robot.core.rig import load_rig
@@ -115,10 +118,10 @@ def test_a_protective_stop_unlocks_after_5_s_only_and_runs_nothing(running: Cont
     ScriptClient(running).feed(SCRIPT)
     assert running.program is None
     ticks(running, 4.9)
-    assert "5s" in dashboard.answer("unlock protective stop")
+    assert b"5s" in dashboard.answer("unlock protective stop")
     assert running.safety_mode is SafetyMode.PROTECTIVE_STOP
     ticks(running, 0.2)
-    assert dashboard.answer("unlock protective stop") == "Protective stop releasing"
+    assert dashboard.answer("unlock protective stop") == b"Protective stop releasing\n"
     assert running.safety_mode is SafetyMode.NORMAL
     assert running.program is None
 
@@ -142,7 +145,7 @@ def test_every_stop_ends_the_program_and_brakes(running: Controller, mode: Safet
     write(running, Command.SERVOJ, *HOME)
     ticks(running, 0.1)
     np.testing.assert_array_equal(running.commanded, here)
-    assert DashboardClient(running).answer("safetystatus") == f"Safetystatus: {mode.name}"
+    assert DashboardClient(running).answer("safetystatus") == f"Safetystatus: {mode.name}\n".encode()
 
 
 def test_emergency_stops_are_reset_by_no_dashboard(running: Controller) -> None:
@@ -169,8 +172,8 @@ def test_local_control_refuses_scripts_and_orders() -> None:
     ScriptClient(controller).feed(SCRIPT)
     assert controller.program is None and controller.uploads == 0
     dashboard = DashboardClient(controller)
-    assert dashboard.answer("is in remote control") == "false"
-    assert "not allowed" in dashboard.answer("power off")
+    assert dashboard.answer("is in remote control") == b"false\n"
+    assert b"not allowed" in dashboard.answer("power off")
     assert controller.robot_mode is RobotMode.RUNNING
 
 
@@ -223,3 +226,28 @@ def test_ten_thousand_malformed_lines_harm_nothing(controller: Controller) -> No
     endless = DashboardClient(controller)
     endless.feed(b"x" * 5000)
     assert endless.ended
+
+
+ODD = (0.0, -1.0, 1.0, 7.0, 1e300, -1e308, float("nan"), float("inf"))
+
+
+def test_ten_thousand_well_formed_packets_of_any_content_harm_nothing(controller: Controller) -> None:
+    """What a client may legally write into the registers: every command, with every kind of number."""
+    rng = np.random.default_rng(4)
+    client = RtdeClient(controller.settings.version, lambda client, names: True, controller.on_input)
+    doubles = ",".join(f"input_double_register_{i}" for i in range(8))
+    for names in ("input_int_register_0,input_int_register_1," + doubles, "speed_slider_mask", "speed_slider_fraction"):
+        client.feed(packet(ord("I"), names.encode()))
+    for k in range(10_000):
+        if controller.program is None:
+            controller.set_safety(SafetyMode.NORMAL)
+            ScriptClient(controller).feed(SCRIPT)
+        numbers = rng.choice([*ODD, rng.normal()], 8)
+        command = int(rng.choice([*Command, rng.integers(-(2**31), 2**31)]))
+        client.feed(packet(ord("U"), b"\x01" + struct.pack(">ii8d", command, k % 2, *numbers)))
+        client.feed(packet(ord("U"), b"\x02" + struct.pack(">I", k % 3)))
+        client.feed(packet(ord("U"), b"\x03" + struct.pack(">d", rng.choice([*ODD, 0.5]))))
+        controller.tick()
+        assert np.isfinite(controller.commanded).all() and np.isfinite(controller.velocity).all()
+        assert 0.0 <= controller.slider <= 1.0
+    assert controller.uploads > 10

@@ -1,0 +1,161 @@
+"""How much room the arm has: from itself, from the table, from what stands on it. Capsules around links and hand.
+
+A capsule is all that lies within its radius of a segment. The segments follow the manufacturer's drawings: the upper
+arm runs beside the plane of the shoulder, not in it. Radii are a little larger than the real parts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from resync_robot.core import kinematics
+from resync_robot.core.rig import Rig
+
+BASE, SHOULDER, UPPER_ARM, ELBOW, FOREARM, WRIST_1, WRIST_2, WRIST_3, HAND, CAMERA = range(10)
+NAMES = (
+    "base", "shoulder", "upper arm", "elbow", "forearm", "wrist 1", "wrist 2", "wrist 3", "hand",
+    "camera on the flange",
+)  # fmt: skip
+UPPER_ARM_OFFSET, FOREARM_OFFSET = 0.138, 0.007
+"""m along the axes of shoulder and elbow."""
+HAND_RADIUS = 0.075
+"""m; the 2F-140 with its fingers closed, and nearly as wide where they are open."""
+
+# Frame (0 the base, i the DH frame of joint i), both ends in it (m), radius (m).
+_D, _A = kinematics.D, kinematics.A
+_LINKS = {
+    BASE: (0, (0, 0, 0), (0, 0, _D[0]), 0.075),
+    SHOULDER: (1, (0, 0, 0), (0, 0, UPPER_ARM_OFFSET), 0.065),
+    UPPER_ARM: (2, (-_A[1], 0, UPPER_ARM_OFFSET), (0, 0, UPPER_ARM_OFFSET), 0.060),
+    ELBOW: (2, (0, 0, UPPER_ARM_OFFSET), (0, 0, FOREARM_OFFSET), 0.060),
+    FOREARM: (3, (-_A[2], 0, FOREARM_OFFSET), (0, 0, FOREARM_OFFSET), 0.050),
+    WRIST_1: (3, (0, 0, FOREARM_OFFSET), (0, 0, _D[3]), 0.047),
+    WRIST_2: (4, (0, 0, 0), (0, 0, _D[4]), 0.047),
+    WRIST_3: (5, (0, 0, 0), (0, 0, _D[5]), 0.045),
+}
+# Neighbours touch by construction, and so do parts that one joint alone keeps apart.
+PAIRS = (
+    *((BASE, part) for part in (FOREARM, WRIST_1, WRIST_2, WRIST_3, HAND, CAMERA)),
+    *((SHOULDER, part) for part in (FOREARM, WRIST_1, WRIST_2, WRIST_3, HAND, CAMERA)),
+    *((UPPER_ARM, part) for part in (WRIST_1, WRIST_2, WRIST_3, HAND, CAMERA)),
+    *((ELBOW, part) for part in (WRIST_2, WRIST_3, HAND, CAMERA)),
+    *((FOREARM, part) for part in (WRIST_3, HAND, CAMERA)),
+    (WRIST_1, HAND),
+)
+ABOVE_TABLE = (UPPER_ARM, ELBOW, FOREARM, WRIST_1, WRIST_2, WRIST_3, CAMERA)
+"""What must not touch the table; the tip may, a little, and has a limit of its own."""
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A box-shaped thing that only the hand may reach into.
+
+    Attributes:
+        world_T_middle: (4, 4) pose of its middle; half: (3,) m, half its size along its own axes.
+    """
+
+    name: str
+    world_T_middle: Float[np.ndarray, "4 4"]
+    half: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Attributes: `distance` in m between two parts, negative where they overlap, and their names."""
+
+    distance: float
+    one: str
+    other: str
+
+
+class Clearance:
+    """Distances between the parts of one rig's arm, and from them to the table and to obstacles.
+
+    Args:
+        rig: mounting of the arm, hand and camera on the flange.
+        table_z: height of the table in the world, m.
+    """
+
+    def __init__(self, rig: Rig, table_z: float = 0.0) -> None:
+        self._world_T_base, self._table_z = rig.arm.world_T_base, table_z
+        reach = rig.gripper.tip_offset - HAND_RADIUS
+        mounted = [c.pose[:3, 3] for c in rig.cameras if c.mount == "flange"]
+        camera = mounted[0] if mounted else np.zeros(3)
+        links = _LINKS | {
+            HAND: (6, (0, 0, min(0.03, reach)), (0, 0, reach), HAND_RADIUS),
+            CAMERA: (6, (0, 0, float(camera[2])), tuple(camera), 0.03),
+        }
+        self._frame = np.array([links[i][0] for i in range(len(NAMES))])
+        self._ends = np.array([[(*links[i][1], 1.0), (*links[i][2], 1.0)] for i in range(len(NAMES))])
+        self._radius = np.array([links[i][3] for i in range(len(NAMES))])
+        self._pairs = np.array(PAIRS)
+        self.obstacles: tuple[Obstacle, ...] = ()
+
+    def frames(self, q: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 7 4 4"]:
+        """Poses in the world of the base and of the six DH frames, the last of which is the flange's."""
+        frames = np.empty((len(q), 7, 4, 4))
+        frames[:, 0] = self._world_T_base
+        cos, sin = np.cos(q), np.sin(q)
+        for i, (ca, sa) in enumerate(kinematics.TWIST):
+            link = np.zeros((len(q), 4, 4))
+            c, s = cos[:, i], sin[:, i]
+            link[:, 0, 0], link[:, 0, 1], link[:, 0, 2], link[:, 0, 3] = c, -s * ca, s * sa, _A[i] * c
+            link[:, 1, 0], link[:, 1, 1], link[:, 1, 2], link[:, 1, 3] = s, c * ca, -c * sa, _A[i] * s
+            link[:, 2, 1], link[:, 2, 2], link[:, 2, 3], link[:, 3, 3] = sa, ca, _D[i], 1.0
+            frames[:, i + 1] = frames[:, i] @ link
+        return frames
+
+    def smallest(self, frames: Float[np.ndarray, "n 7 4 4"]) -> Gap:
+        """The narrowest gap over all configurations, given by their `frames`."""
+        ends = np.einsum("npij,pkj->npki", frames[:, self._frame], self._ends)[..., :3]
+        one, other = self._pairs[:, 0], self._pairs[:, 1]
+        between = _distance(ends[:, one], ends[:, other]) - (self._radius[one] + self._radius[other])
+        row, pair = np.unravel_index(int(between.argmin()), between.shape)
+        gaps = [Gap(float(between[row, pair]), NAMES[one[pair]], NAMES[other[pair]])]
+        parts = np.array(ABOVE_TABLE)
+        height = ends[:, parts][..., 2].min(axis=2) - self._radius[parts] - self._table_z
+        row, part = np.unravel_index(int(height.argmin()), height.shape)
+        gaps.append(Gap(float(height[row, part]), NAMES[parts[part]], "table"))
+        gaps += [self._to_obstacle(ends[:, parts], parts, obstacle) for obstacle in self.obstacles]
+        return min(gaps, key=lambda gap: gap.distance)
+
+    def _to_obstacle(self, ends: np.ndarray, parts: np.ndarray, obstacle: Obstacle) -> Gap:
+        share = np.linspace(0.0, 1.0, 9)[:, None]
+        points = ends[:, :, :1] * (1 - share) + ends[:, :, 1:] * share
+        pose = obstacle.world_T_middle
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        outside = np.linalg.norm(np.maximum(np.abs(local) - obstacle.half, 0.0), axis=-1).min(axis=2)
+        gap = outside - self._radius[parts]
+        row, part = np.unravel_index(int(gap.argmin()), gap.shape)
+        return Gap(float(gap[row, part]), NAMES[parts[part]], obstacle.name)
+
+
+def _distance(one: Float[np.ndarray, "*b 2 3"], other: Float[np.ndarray, "*b 2 3"]) -> Float[np.ndarray, "*b"]:
+    """Between pairs of segments of any length.
+
+    The nearest points lie inside both segments, where the lines' own do, or else at an end of one of them.
+    """
+    u, v = one[..., 1, :] - one[..., 0, :], other[..., 1, :] - other[..., 0, :]
+    w = one[..., 0, :] - other[..., 0, :]
+    a, b, c = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
+    d, e = (u * w).sum(-1), (v * w).sum(-1)
+    crossing = a * c - b * b
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s, t = (b * e - c * d) / crossing, (a * e - b * d) / crossing
+    inside = (crossing > 1e-12) & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
+    s, t = np.where(inside, s, 0.0)[..., None], np.where(inside, t, 0.0)[..., None]
+    lines = np.where(inside, np.linalg.norm(w + s * u - t * v, axis=-1), np.inf)
+    to_ends = [_to_segment(one[..., i, :], other) for i in (0, 1)] + [
+        _to_segment(other[..., i, :], one) for i in (0, 1)
+    ]
+    return np.minimum.reduce([lines, *to_ends])
+
+
+def _to_segment(point: Float[np.ndarray, "*b 3"], segment: Float[np.ndarray, "*b 2 3"]) -> Float[np.ndarray, "*b"]:
+    along, to = segment[..., 1, :] - segment[..., 0, :], point - segment[..., 0, :]
+    length = np.maximum((along * along).sum(-1), 1e-18)
+    share = np.clip((to * along).sum(-1) / length, 0.0, 1.0)
+    return np.linalg.norm(to - share[..., None] * along, axis=-1)

@@ -1,0 +1,122 @@
+"""The supervised process that holds the ur-rtde client (`hardware.ur_link`), seen from the driver."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from hardware.base import RobotError
+from hardware.ur_memory import NOT_STARTED, LinkMemory
+
+_log = logging.getLogger(__name__)
+
+START_S = 15.0
+END_S = 4.0
+
+
+class LinkProcess:
+    """Started with its settings, one line of JSON; ready when the constructor returns.
+
+    Args:
+        stop_program: ends the robot's program; called once where the link has gone and left it running.
+
+    Attributes:
+        memory: what driver and link share.
+        process: the child.
+
+    Raises:
+        RobotError: the controller is controlled by another program, or the link does not start.
+    """
+
+    def __init__(self, address: str, settings: dict[str, Any], stop_program: Callable[[], None]) -> None:
+        self._stop_program, self._looked_after = stop_program, False
+        file = LinkMemory.new_file()
+        try:
+            self.memory = LinkMemory(file)
+            root = str(Path(__file__).parents[1])
+            path = os.pathsep.join([root, *(p for p in sys.path if p)])
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", "from hardware.ur_link import main; main()"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                pass_fds=(file,),
+                env=os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
+                # A Ctrl-C at the terminal is for the driver, which brakes; the link ends after it.
+                start_new_session=True,
+            )
+            try:
+                answer = self._ask({"memory": file, "address": address, **settings})
+            except BaseException:
+                self.close()
+                raise
+        finally:
+            os.close(file)
+        if "error" in answer:
+            self.close()
+            reason = str(answer["error"])
+            if "already in use" in reason or "IN_USE" in reason:
+                raise RobotError(
+                    f"another program controls the robot: {reason}",
+                    "end it, or disable its EtherNet/IP, PROFINET or MODBUS unit on the teach pendant",
+                )
+            raise RobotError(f"no control of the robot at {address}: {reason}")
+
+    def ended(self, wait: float = 0.0) -> str:
+        """How it ended, within `wait` s from now: a signal or a code; '' while it runs."""
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(wait)
+        code = self.process.poll()
+        if code is None:
+            return ""
+        if code not in (0, NOT_STARTED) and not self._looked_after:
+            self._looked_after = True
+            self._stop_program()
+        return f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
+
+    def close(self) -> None:
+        """Let it brake and end its program, and reap it."""
+        self.memory.words["finish"] = 1
+        with suppress(OSError):
+            if self.process.stdin is not None:
+                self.process.stdin.close()
+        if not self.ended(END_S):
+            self.process.kill()
+            self.ended(END_S)
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+    def _ask(self, settings: dict[str, Any]) -> dict[str, object]:
+        """Its first line of JSON. The client's library prints lines of its own, which are logged."""
+        if self.process.stdin is None or self.process.stdout is None:
+            raise RobotError("the link to the robot has no pipes")
+        self.process.stdin.write(json.dumps(settings).encode() + b"\n")
+        self.process.stdin.flush()
+        deadline = time.monotonic() + START_S
+        rest, lines = b"", []
+        while time.monotonic() < deadline:
+            if not select.select([self.process.stdout], [], [], 0.1)[0]:
+                continue
+            data = os.read(self.process.stdout.fileno(), 4096)
+            *whole, rest = (rest + data).split(b"\n")
+            for line in whole:
+                text = line.decode("utf-8", "replace").strip()
+                if text.startswith("{"):
+                    content = json.loads(text)
+                    if isinstance(content, dict):
+                        return content
+                lines.append(text)
+                _log.debug("ur-rtde: %s", text)
+            if not data:
+                break
+        last = next((x for x in reversed(lines) if x), "it said nothing")
+        return {"error": f"the link did not start ({last})"}
