@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from perception.blocks import BlockEstimate, Glimpse
+from perception.naming import AmbiguousObjectsError, MissingObjectsError, name_blocks
 from perception.objects import SceneEstimate, SceneEstimator
-from perception.pose import BlockEstimate, Glimpse, inside_box, upright_covariance, yaw_variance_of
+from perception.pose import inside_box, upright_covariance, yaw_variance_of
 from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
@@ -27,30 +29,16 @@ LIFTED = 0.020
 """A block whose underside is this far above the ground stands on something, m."""
 
 
-class MissingObjectsError(PerceptionError):
-    """A scan did not find everything.
-
-    Attributes:
-        missing: names of the blocks that were neither seen nor plausibly hidden.
-        seen: names of those that were.
-    """
-
-    def __init__(self, missing: tuple[str, ...], seen: tuple[str, ...]) -> None:
-        super().__init__(
-            f"the scan did not find {', '.join(missing)}; it found {', '.join(seen) or 'no block'}",
-            "put it where the wrist camera looks: into the box, or on the table left or right of it",
-        )
-        self.missing, self.seen = missing, seen
-
-
 @dataclass(frozen=True)
 class ScanReport:
-    """What the last scan said about each block, by name. `tipped` blocks were seen, but do not stand upright."""
+    """What the last scan said about each block, by name. `tipped` blocks were seen, but do not stand upright;
+    `ambiguous` ones were seen more than once, and keep their old estimates."""
 
     seen: tuple[str, ...] = ()
     hidden: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     tipped: tuple[str, ...] = ()
+    ambiguous: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,15 +101,20 @@ class Belief:
         """Take in the pictures of a scan, taken with the hand as it is now.
 
         Raises:
-            MissingObjectsError: a block was not found and is not plausibly hidden; it keeps its old estimate, and
-                the next `state` works if there is one.
+            UnsettledSceneError: a block was not found and is not plausibly hidden, or was seen more than once; it keeps
+                its old estimate, and the next `state` works if there is one.
             PerceptionError: pictures that cannot be used, or no box; nothing is changed.
         """
         self._follow_hand(robot_features)
         return self.update(self._estimator.estimate(frames), robot_features)
 
     def update(self, scene: SceneEstimate, robot_features: Float[np.ndarray, "8"]) -> State:
-        """Take in an estimate of the scene. Raises MissingObjectsError as `update_from_scan` does."""
+        """Take in an estimate of the scene. Raises UnsettledSceneError as `update_from_scan` does."""
+        places = {b.name: k.features[:2] for b, k in self._known.items() if b in self._blocks}
+        held = self._held.name if self._held else None
+        scene, ambiguous = name_blocks(
+            scene, self._estimator.catalogue.look_alikes, [b.name for b in self._blocks], held, places
+        )
         box_sizes, scans = self._averaged_sizes(self._box, scene.box.features[7:])
         self._known[self._box] = _Known(np.array([*scene.box.features[:7], *box_sizes]), scene.box.covariance, scans)
         seen = [b for b in self._blocks if b.name in scene.blocks]
@@ -129,7 +122,7 @@ class Belief:
             self._change_grasp(seen, robot_features)
         for block in seen:
             self._take(block, scene.blocks[block.name])
-        unseen = [b for b in self._blocks if b not in seen and b != self._held]
+        unseen = [b for b in self._blocks if b not in seen and b != self._held and b.name not in ambiguous]
         # From above down, as last believed: what hides under one block may hide another in its turn.
         unseen.sort(key=lambda b: -self._known[b].features[2] if b in self._known else 0.0)
         hidden: list[Object] = []
@@ -142,9 +135,12 @@ class Belief:
             hidden=tuple(b.name for b in hidden),
             held=(self._held.name,) if self._held else (),
             tipped=tuple(b.name for b in seen if not scene.blocks[b.name].upright),
+            ambiguous=tuple(ambiguous),
         )
         if missing:
             raise MissingObjectsError(missing, self.report.seen)
+        if ambiguous:
+            raise AmbiguousObjectsError(ambiguous)
         return self.state(robot_features)
 
     def state(self, robot_features: Float[np.ndarray, "8"]) -> State:
@@ -320,8 +316,8 @@ class Belief:
             bottom = self._ground(above[:2])
         features = np.array([*above[:2], bottom + size[2] / 2, *quat, *size])
         covariance = np.zeros((10, 10))
-        variance = np.diag(cover.covariance)[:3] + np.array([0.0015, 0.0015, 0.003]) ** 2
-        covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.05**2, quat)
+        variance = np.diag(cover.covariance)[:3] + np.array([0.001, 0.001, 0.003]) ** 2
+        covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.03**2, quat)
         covariance[7:, 7:] = np.eye(3) * size_sigma**2
         known = before is not None and before.height_known
         self._known[block] = _Known(features, covariance, max(scans, 1), known)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from perception.blocks import BlockEstimate, Glimpse, estimate_blocks
 from perception.catalogue import Catalogue
-from perception.pose import BlockEstimate, BoxEstimate, Glimpse, box_outline, estimate_blocks, estimate_box
+from perception.pose import BoxEstimate, box_outline, estimate_box
 from perception.register import align_to_box
 from perception.segment import ColourSegmenter, Segmenter
 from perception.views import level, make_view
@@ -17,11 +18,13 @@ from resync_robot.core.world import CameraFrame
 
 @dataclass(frozen=True)
 class SceneEstimate:
-    """What one scan says. `blocks` by name; `glimpses`: blocks of which only sides are seen."""
+    """What one scan says. `blocks` by name; `glimpses`: blocks of which only sides are seen; `surplus`: blocks beyond
+    those that there are of their colour."""
 
     box: BoxEstimate
     blocks: Mapping[str, BlockEstimate]
     glimpses: Mapping[str, Glimpse]
+    surplus: tuple[BlockEstimate, ...] = ()
 
 
 class SceneEstimator:
@@ -54,5 +57,5 @@ class SceneEstimator:
             align_to_box(v, box.features, self.catalogue, self.rig.camera(f.name))
             for v, f in zip(views, frames, strict=True)
         ]
-        blocks, glimpses = estimate_blocks(views, self.catalogue, box)
-        return SceneEstimate(box, blocks, glimpses)
+        blocks = estimate_blocks(views, self.catalogue, box)
+        return SceneEstimate(box, blocks.found, blocks.glimpses, blocks.surplus)

@@ -74,16 +74,20 @@ class Scan:
         self.configurations = self._plan(viewpoints)
 
     def __call__(
-        self, move: Callable[[Float[np.ndarray, "6"]], None], capture: Callable[[], CameraFrame]
+        self,
+        move: Callable[[Float[np.ndarray, "6"]], None],
+        capture: Callable[[], CameraFrame],
+        configurations: Sequence[Float[np.ndarray, "6"]] | None = None,
     ) -> list[CameraFrame]:
         """Take every picture.
 
         Args:
             move: brings the arm to (6,) joint positions in rad and returns when it stands still there.
             capture: a picture exposed after the call.
+            configurations: where from, such as those of `towards`; default: the whole round.
         """
         frames = []
-        for q in self.configurations:
+        for q in self.configurations if configurations is None else configurations:
             move(q)
             frames.append(capture())
         return frames

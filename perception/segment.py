@@ -16,7 +16,8 @@ from resync_robot.core.world import CameraFrame
 
 @dataclass(frozen=True)
 class Segment:
-    """Attributes: `label`, the name of an object; `mask` (H, W) bool, its pixels in one picture."""
+    """Attributes: `label`, the name of a block, of several that look alike the first; `mask` (H, W) bool, its pixels
+    in one picture."""
 
     label: str
     mask: Bool[np.ndarray, "h w"]
@@ -55,7 +56,7 @@ class ColourSegmenter:
         hsv = cv2.cvtColor(cv2.GaussianBlur(colour, (3, 3), 0.6), cv2.COLOR_RGB2HSV_FULL)
         hue = hsv[..., 0].astype(np.float32) / 256
         vivid = (hsv[..., 1] >= c.least_saturation * 255) & (hsv[..., 2] >= c.least_value * 255)
-        names = list(c.hues)
+        names = [alike[0] for alike in c.look_alikes]
         away = np.stack([np.abs((hue - c.hues[n] + 0.5) % 1.0 - 0.5) for n in names])
         nearest = np.argmin(away, axis=0)
         close = vivid & (np.min(away, axis=0) <= c.hue_tolerance)

@@ -32,7 +32,7 @@ class View:
         ray: (H, W, 3) direction of every pixel in the camera, with z = 1.
         depth: (H, W) m, 0 where there is none or where the hand is in the way.
         points: (H, W, 3) in the world; meaningless where depth is 0.
-        labels: (H, W) index of the object's name in the catalogue's order, BACKGROUND elsewhere.
+        labels: (H, W) index into the catalogue's `look_alikes`, BACKGROUND elsewhere.
         hidden: (H, W) True where the hand, or what it holds, hides the scene.
     """
 
@@ -67,7 +67,7 @@ def make_view(frame: CameraFrame, segmenter: Segmenter, catalogue: Catalogue, ri
         PerceptionError: no usable depth, a black picture, shapes that do not fit.
     """
     _check(frame)
-    names = list(catalogue.hues)
+    names = [alike[0] for alike in catalogue.look_alikes]
     labels = np.full(frame.depth.shape, BACKGROUND, dtype=np.int8)
     for segment in segmenter.segment(frame):
         if segment.label in names:

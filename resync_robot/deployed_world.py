@@ -13,8 +13,9 @@ import numpy as np
 from hardware.base import Camera, ProtectiveStopError, RealtimeRobot, Robot, WindowedCamera
 from hardware.stream import Stream
 from hardware.travel import travel
-from perception.belief import Belief, MissingObjectsError
+from perception.belief import Belief
 from perception.cutout import cut_out
+from perception.naming import UnsettledSceneError
 from perception.scan import Scan
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
@@ -140,11 +141,11 @@ class DeployedWorld:
         try:
             state = self.belief.update_from_scan(frames, features)
             self.missing = ()
-        except MissingObjectsError as error:
+        except UnsettledSceneError as error:
             if self.scans == 1:
                 raise
             # What was seen before and is out of sight now keeps its old place; the plan may still go on.
-            state, self.missing = self.belief.state(features), error.missing
+            state, self.missing = self.belief.state(features), error.names
         self._held = self.belief.held
         if self._on_scan:
             self._on_scan(frames, state)

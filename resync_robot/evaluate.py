@@ -61,11 +61,18 @@ class EvaluateConfig:
     worlds: Literal["usual", "unseen"] = "usual"
     """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had."""
 
+    perception_only: bool = False
+    """Move nothing: only scan random scenes and compare what was seen with what is there."""
+
+    scenes: int = 300
+    """Scenes for each seed, with --perception-only."""
+
     workers: int = 2
     """Simulation processes."""
 
     json: Path | None = None
-    """File for the counts by library and seed, the success rates, every episode, and the provenance."""
+    """File for the counts by library and seed, the success rates, every episode, and the provenance. With
+    --perception-only: for the errors, and a picture of how honest their covariance is beside it."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +87,8 @@ class Job:
 
 
 def evaluate(config: EvaluateConfig) -> None:
-    """Run every episode of `config`, write the JSON file where one is named, and print the table.
+    """Run every episode of `config`, write the JSON file where one is named, and print the table. With
+    `perception_only`, scan scenes instead.
 
     The file holds three lists and a record, whose names and fields stay as they are:
 
@@ -106,6 +114,14 @@ def evaluate(config: EvaluateConfig) -> None:
     from sim_training.domains import find_domain
     from sim_training.parallel import parallel_map
 
+    if config.perception_only:
+        from resync_robot.evaluate_perception import evaluate_perception
+
+        usual = EvaluateConfig()
+        given = [n for n in ("library", "methods", "scenarios") if getattr(config, n) != getattr(usual, n)]
+        if given:
+            raise ConfigError(f"--{given[0]} has no meaning with --perception-only", "leave it out")
+        return evaluate_perception(config.scenes, config.seeds, config.workers, config.json)
     domain = find_domain(config.domain)
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     if config.episodes < 1:
