@@ -146,12 +146,13 @@ class _Trial:
             complaint = error.what
         self.seconds.append(time.process_time() - begun)
         self.complaints.append(complaint)
-        rows, false = compare(self.drawn, state, self.world.perceive(), set(self.belief.report.ambiguous), index)
+        # The held block is where the tips are, whatever the pictures show; the others are what such a scan is about.
+        left_out = {*self.belief.report.ambiguous, *([self.held.name] if self.held else [])}
+        rows, false = compare(self.drawn, state, self.world.perceive(), left_out, index)
         if scene is not None:
             names = {b.name for b in self.blocks}
             false += sum(n not in names for n in scene.blocks) + len(scene.surplus)
         if self.held is not None:
-            # The held block is where the tips are, whatever the pictures show; the others are what this is about.
             rows = tuple(replace(r, condition=HOLDING) for r in rows if r.name != self.held.name)
             false += self.belief.held != self.held
         return _Round(rows, false)
