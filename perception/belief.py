@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from perception.blocks import BlockEstimate, Glimpse
 from perception.naming import AmbiguousObjectsError, MissingObjectsError, name_blocks
 from perception.objects import SceneEstimate, SceneEstimator
-from perception.pose import inside_box, upright_covariance, yaw_variance_of
+from perception.pose import HEIGHT_SIGMA, inside_box, upright_covariance, yaw_variance_of
 from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
@@ -39,6 +39,7 @@ class ScanReport:
     held: tuple[str, ...] = ()
     tipped: tuple[str, ...] = ()
     ambiguous: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,7 @@ class Belief:
         self._tip_T_held = np.eye(4)
         self._at_grasp: dict[Object, np.ndarray] = {}
         self._last_opening = np.inf
+        self._ambiguous: Mapping[str, np.ndarray] = {}
         self.report = ScanReport()
 
     @property
@@ -136,12 +138,30 @@ class Belief:
             held=(self._held.name,) if self._held else (),
             tipped=tuple(b.name for b in seen if not scene.blocks[b.name].upright),
             ambiguous=tuple(ambiguous),
+            missing=missing,
         )
+        self._ambiguous = ambiguous
         if missing:
             raise MissingObjectsError(missing, self.report.seen)
         if ambiguous:
             raise AmbiguousObjectsError(ambiguous)
         return self.state(robot_features)
+
+    def unclear_places(self, most_sigma: float = 0.0012) -> list[Float[np.ndarray, "2"]]:
+        """Where another look may help: blocks that the last scan saw badly, did not find, or saw more than once.
+
+        Args:
+            most_sigma: m, of x or y, up to which a block that was seen is known well enough.
+        """
+        places: list[np.ndarray] = [place for seen in self._ambiguous.values() for place in seen]
+        for block in self._blocks:
+            known = self._known.get(block)
+            if known is None or block == self._held:
+                continue
+            badly = block.name in self.report.seen and np.diag(known.covariance)[:2].max() > most_sigma**2
+            if badly or block.name in self.report.missing:
+                places.append(known.features[:2])
+        return places
 
     def state(self, robot_features: Float[np.ndarray, "8"]) -> State:
         """The present belief: the robot as measured, the held block at the tips, the rest as last seen.
@@ -256,15 +276,18 @@ class Belief:
         before = self._known.get(block)
         sizes, scans = self._averaged_sizes(block, estimate.features[7:])
         height_known = not estimate.stacked
+        covariance = estimate.covariance.copy()
         if before is not None and before.height_known != height_known:
             # Only a block that stands on the ground shows its own height.
             sizes[2] = estimate.features[9] if height_known else before.features[9]
+            if not height_known:
+                covariance[9, 9] = before.covariance[9, 9]
+                covariance[2, 2] = HEIGHT_SIGMA**2 + covariance[9, 9] / 4
             height_known = True
         quat = estimate.features[3:7]
         if before is not None:
             quat = _nearest_quarter_turn(quat, before.features[3:7])
         features = np.array([*estimate.features[:2], estimate.top_z - sizes[2] / 2, *quat, *sizes])
-        covariance = estimate.covariance.copy()
         covariance[:7, :7] = upright_covariance(np.diag(covariance)[:3], yaw_variance_of(covariance), quat)
         self._known[block] = _Known(features, covariance, scans, height_known)
 
@@ -309,14 +332,14 @@ class Belief:
         if before is not None:
             quat, size = _nearest_quarter_turn(quat, before.features[3:7]), before.features[7:10]
             size_sigma, scans = 0.0015, before.scans
-        bottom = _underside(above) - size[2]
+        bottom, z_variance = _underside(above) - size[2], float(cover.covariance[2, 2]) + 0.003**2
         if before is not None and abs(_underside(before.features) - self._ground(above[:2])) < LIFTED / 2:
             # It stood on the ground, and nothing lifts what something is put upon. Where the cover is too high for
             # that, it lies on the stud and is not seated: the belief must not make it fit.
-            bottom = self._ground(above[:2])
+            bottom, z_variance = self._ground(above[:2]), HEIGHT_SIGMA**2 + (size_sigma / 2) ** 2
         features = np.array([*above[:2], bottom + size[2] / 2, *quat, *size])
         covariance = np.zeros((10, 10))
-        variance = np.diag(cover.covariance)[:3] + np.array([0.001, 0.001, 0.003]) ** 2
+        variance = np.array([*(np.diag(cover.covariance)[:2] + 0.001**2), z_variance])
         covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.03**2, quat)
         covariance[7:, 7:] = np.eye(3) * size_sigma**2
         known = before is not None and before.height_known

@@ -222,6 +222,7 @@ def _episode(
     from resync_robot.core.episode_writer import EpisodeWriter
     from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
+    from resync_robot.doubt import doubting
     from resync_robot.planning.execute import End, Result, plan_f
     from resync_robot.progress import say
     from resync_robot.recorder import Recorder
@@ -262,7 +263,18 @@ def _episode(
                 raise error
             devices.resume()
 
-        world = kind(devices.robot, devices.cameras, rig, task.objects, devices.truth, recorder.on_scan, on_stop)
+        model = doubting(model)
+        world = kind(
+            devices.robot,
+            devices.cameras,
+            rig,
+            task.objects,
+            devices.truth,
+            recorder.on_scan,
+            on_stop,
+            model.abstraction,
+            recorder.on_doubt,
+        )
         world.stream.recorders.append(recorder.on_stream)
 
         say(f"Goal: {goal}")

@@ -22,16 +22,25 @@ from resync_robot.core.errors import InterruptedMotionError, PerceptionError, Un
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object
+from resync_robot.core.symbols import Atom, Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import CameraFrame, Cutout, Observation, Window
+from resync_robot.doubt import DoubtingAbstraction, objects_in
 
 WRIST = "wrist"
 """The camera that scans."""
 SAFE_TIP = 0.27
 """m; below this the hand is first lifted straight up before it travels to a viewpoint."""
+MORE_LOOKS = 2
+"""How often places in doubt are looked at again."""
+MOST_PLACES = 3
+"""Of one such look."""
+SAME_SIGHT = 0.05
+"""m within which a look at one place shows the other."""
 
 Scanned = Callable[[Sequence[CameraFrame], State], None]
+InDoubt = Callable[[Mapping[Atom, float], int], None]
+"""Called with atoms still in doubt (the share of pose samples in which each holds) and how often was looked."""
 
 
 class DeployedWorld:
@@ -42,6 +51,8 @@ class DeployedWorld:
             deployment has none, and such a skill then raises PerceptionError. The simulated backend may hand in the
             simulator's state, and says so.
         on_scan: called with the pictures and the estimate of every scan.
+        abstraction: says which atoms hang on poses that are not known well; their objects are looked at again.
+        on_doubt: told of those that further looks did not decide.
         on_stop: called when the robot has made a protective stop; it asks a person, and returns when the robot may
             go on, or raises. Without it a protective stop ends the episode.
     """
@@ -55,7 +66,10 @@ class DeployedWorld:
         live_state: Callable[[], State] | None = None,
         on_scan: Scanned | None = None,
         on_stop: Callable[[ProtectiveStopError], None] | None = None,
+        abstraction: DoubtingAbstraction | None = None,
+        on_doubt: InDoubt | None = None,
     ) -> None:
+        self._abstraction, self._on_doubt = abstraction, on_doubt
         self._on_stop = on_stop
         self.robot, self.rig, self._cameras = robot, rig, cameras
         self.stream = Stream(robot, rig)
@@ -131,29 +145,54 @@ class DeployedWorld:
             if before is None and self._held is not None and self.belief.grasp_is_certain:
                 return believed
         try:
-            frames = self._look_around()
+            return self._look_around()
         except ProtectiveStopError as stop:
             with suppress(InterruptedMotionError):
                 self._resume(stop)
-            frames = self._look_around()
+            return self._look_around()
+
+    def _look_around(self) -> State:
+        """A round of pictures, then more of what is in doubt; all of them together make the estimate."""
+        self._lift()
+        capture = self._cameras[WRIST].capture
+        frames = self.scan(self._travel, capture)
+        looks = 1
+        state, error = self._take_in(frames)
+        while looks <= MORE_LOOKS and (again := self._where_to_look(state, error)):
+            frames += self.scan(self._travel, capture, again)
+            looks += 1
+            state, error = self._take_in(frames)
         self.scans += 1
-        features = self._features()
-        try:
-            state = self.belief.update_from_scan(frames, features)
-            self.missing = ()
-        except UnsettledSceneError as error:
-            if self.scans == 1:
-                raise
-            # What was seen before and is out of sight now keeps its old place; the plan may still go on.
-            state, self.missing = self.belief.state(features), error.names
+        if state is None or (error is not None and self.scans == 1):
+            raise error or PerceptionError("nothing is known of the scene", "scan before asking")
+        # What was seen before and is out of sight now keeps its old place; the plan may still go on.
+        self.missing = error.names if error else ()
         self._held = self.belief.held
         if self._on_scan:
             self._on_scan(frames, state)
+        if self._abstraction and self._on_doubt and (doubtful := self._abstraction.doubtful(state)):
+            self._on_doubt(doubtful, looks)
         return state
 
-    def _look_around(self) -> list[CameraFrame]:
-        self._lift()
-        return self.scan(self._travel, self._cameras[WRIST].capture)
+    def _take_in(self, frames: Sequence[CameraFrame]) -> tuple[State | None, UnsettledSceneError | None]:
+        features = self._features()
+        try:
+            return self.belief.update_from_scan(frames, features), None
+        except UnsettledSceneError as error:
+            return self.belief.state(features), error
+
+    def _where_to_look(self, state: State | None, error: UnsettledSceneError | None) -> list[np.ndarray]:
+        """Configurations for another look: at what atoms in doubt speak of, what is seen badly, or what is missing."""
+        places = list(self.belief.unclear_places())
+        if self._abstraction and state is not None:
+            for obj in objects_in(self._abstraction.doubtful(state)):
+                if obj.type == BLOCK and obj != self.belief.held:
+                    places.append(state.get(obj, "x", "y"))
+        if not places:
+            # What nobody has ever seen may be anywhere.
+            return list(self.scan.configurations) if error else []
+        different = [p for i, p in enumerate(places) if all(np.linalg.norm(p - q) > SAME_SIGHT for q in places[:i])]
+        return [q for place in different[:MOST_PLACES] for q in self.scan.towards(place)]
 
     def _features(self) -> np.ndarray:
         measured = self.robot.state()

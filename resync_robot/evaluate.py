@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from resync_robot.core.symbols import Atoms
     from resync_robot.core.task import Domain
     from resync_robot.core.world import World
+    from resync_robot.doubt import DoubtingAbstraction
     from resync_robot.planning.abstract import Abstraction
     from resync_robot.planning.execute import Listener, Result
     from resync_robot.planning.search import Plan
@@ -209,7 +210,7 @@ class _Context:
     perception: str
     unseen: bool
     given: Abstraction
-    methods: dict[tuple[int, str], _Method]
+    methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]]
 
 
 def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: str, worlds: str) -> _Context:
@@ -217,24 +218,27 @@ def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: 
     from resync_robot.baselines.recovery_chaining import RecoveryChaining
     from resync_robot.core.library import load_library
     from resync_robot.core.rig import load_rig
+    from resync_robot.doubt import doubting
     from resync_robot.knowledge import camera_recovery, initial_model, learned_model, model_with_recovery
     from resync_robot.planning.execute import plan_f
     from sim_training.domains import find_domain
 
     domain, rig = find_domain(domain_name), load_rig()
-    initial = initial_model(domain, rig)
-    methods: dict[tuple[int, str], _Method] = {}
+    initial = doubting(initial_model(domain, rig))
+    methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]] = {}
     for i, path in enumerate(paths):
         library = load_library(Path(path))
         # First, for it says what a library lacks.
         recovery = camera_recovery(domain, rig, library) if skills == "camera" else None
-        methods[i, "resync"] = partial(plan_f, model=learned_model(domain, rig, library, recovery))
+        learned = doubting(learned_model(domain, rig, library, recovery))
+        methods[i, "resync"] = learned.abstraction, partial(plan_f, model=learned)
         record = library.skills[domain.recovery]
-        with_skill = model_with_recovery(domain, rig, record, recovery)
+        with_skill = doubting(model_with_recovery(domain, rig, record, recovery))
         reaction = RecoveryChaining(with_skill.skill(domain.recovery), record)
-        methods[i, "rc"] = partial(plan_f, model=with_skill, reaction=reaction)
-        methods[i, "initial"] = partial(plan_f, model=initial)
-        methods[i, "human"] = partial(run_human_sequence, model=with_skill, expert=domain.expert)
+        given = initial.abstraction
+        methods[i, "rc"] = given, partial(plan_f, model=with_skill, reaction=reaction)
+        methods[i, "initial"] = given, partial(plan_f, model=initial)
+        methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
     return _Context(domain, rig, perception, worlds == "unseen", initial.abstraction, methods)
 
 
@@ -259,7 +263,7 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         def on_skill_start(self, skill: GroundSkill) -> None:
             self.skills.append(str(skill))
 
-    method = context.methods[job.library, job.method]
+    abstraction, method = context.methods[job.library, job.method]
     notes = Notes()
     begun = time.monotonic()
     # A scene that does not stand still is not a task; the next one takes its place.
@@ -278,7 +282,9 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         from resync_robot.deployed_world import DeployedWorld
 
         with open_simulated(task, context.rig) as devices:
-            seen = DeployedWorld(devices.robot, devices.cameras, context.rig, task.objects, devices.truth)
+            seen = DeployedWorld(
+                devices.robot, devices.cameras, context.rig, task.objects, devices.truth, abstraction=abstraction
+            )
             try:
                 result = method(seen, goal=task.goal, listener=notes)
                 # What the robot believes at the end does not count; what is true does.
