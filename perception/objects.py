@@ -32,13 +32,13 @@ class SceneEstimator:
 
     Args:
         rig: whose hand to mask, and where the cameras sit.
-        catalogue: what may stand on the table.
+        catalogue: what may stand on the table; by default in the colours of the rig file, where it has any.
         segmenter: colour by default.
     """
 
     def __init__(self, rig: Rig, catalogue: Catalogue | None = None, segmenter: Segmenter | None = None) -> None:
         self.rig = rig
-        self.catalogue = catalogue or Catalogue()
+        self.catalogue = catalogue or (Catalogue(hues=rig.hues) if rig.hues else Catalogue())
         self.segmenter = segmenter or ColourSegmenter(self.catalogue)
 
     def estimate(self, frames: Sequence[CameraFrame]) -> SceneEstimate:
