@@ -142,7 +142,7 @@ class Belief:
         )
         self._ambiguous = ambiguous
         if missing:
-            raise MissingObjectsError(missing, self.report.seen)
+            raise MissingObjectsError(missing, self.report.seen, scene.without_depth)
         if ambiguous:
             raise AmbiguousObjectsError(ambiguous)
         return self.state(robot_features)

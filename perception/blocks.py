@@ -42,6 +42,8 @@ OBLONG = 1.4
 SEAM = 0.003
 """m on either side of the line between two touching blocks of a colour, where no view tells whose a cell is."""
 LEAST_POINTS = 40
+SHOWS = 400
+"""Pixels of a mask, over all pictures, from which something is surely there."""
 
 
 @dataclass(frozen=True)
@@ -80,21 +82,26 @@ class Blocks:
     Attributes:
         found, glimpses: by name.
         surplus: blocks seen beyond those that there are of their colour, named after one of these.
+        without_depth: names of blocks that show in the pictures, where these hold no depth.
     """
 
     found: dict[str, BlockEstimate]
     glimpses: dict[str, Glimpse]
     surplus: tuple[BlockEstimate, ...]
+    without_depth: tuple[str, ...]
 
 
 def estimate_blocks(views: Sequence[View], catalogue: Catalogue, box: BoxEstimate | None) -> Blocks:
     """Every block whose top face is seen, and glimpses of those of which only sides are."""
     found: dict[str, BlockEstimate] = {}
     surplus: list[BlockEstimate] = []
+    without_depth: list[str] = []
     patches: dict[str, list[np.ndarray]] = {}
     for index, names in enumerate(catalogue.look_alikes):
         masks = [v.valid & (v.labels == index) & _on_the_table(v, catalogue) for v in views]
         points, _ = gather(views, masks)
+        if not len(points) and sum(int(((v.labels == index) & ~v.hidden).sum()) for v in views) >= SHOWS:
+            without_depth += names
         pieces = [p for c in _patches(points) for p in (_squares(c, catalogue) if len(names) > 1 else [c])]
         centres = [_middle(p) for p in pieces]
         estimates = []
@@ -123,7 +130,7 @@ def estimate_blocks(views: Sequence[View], catalogue: Catalogue, box: BoxEstimat
         of_one_colour = [b.features[:2] for n, b in found.items() if n in names and b.stacked]
         sides = sorted(patches.get(names[0], []), key=lambda c: min((_distance(c, t) for t in towers), default=0.0))
         glimpses |= {n: Glimpse(n, c) for n, c in zip(missing, [*sides, *of_one_colour], strict=False)}
-    return Blocks(found, glimpses, tuple(surplus))
+    return Blocks(found, glimpses, tuple(surplus), tuple(without_depth))
 
 
 def _is_a_block_of_its_own(estimate: BlockEstimate, known: Sequence[BlockEstimate]) -> bool:

@@ -33,13 +33,19 @@ class MissingObjectsError(UnsettledSceneError):
     Attributes:
         names: of the blocks that were neither seen nor plausibly hidden.
         seen: names of those that were.
+        without_depth: names of those missing that show in the pictures, where these hold no depth.
     """
 
-    def __init__(self, missing: tuple[str, ...], seen: tuple[str, ...]) -> None:
+    def __init__(self, missing: tuple[str, ...], seen: tuple[str, ...], without_depth: tuple[str, ...] = ()) -> None:
+        blind = tuple(n for n in missing if n in without_depth)
+        why = f" ({', '.join(blind)} shows in the pictures, but without depth)" if blind else ""
         super().__init__(
-            f"the scan did not find {', '.join(missing)}; it found {', '.join(seen) or 'no block'}",
-            "put it where the wrist camera looks: into the box, or on the table left or right of it",
+            f"the scan did not find {', '.join(missing)}{why}; it found {', '.join(seen) or 'no block'}",
+            "shade it from glare, and keep it 0.2 m from the lens"
+            if blind
+            else "put it where the wrist camera looks: into the box, or on the table left or right of it",
         )
+        self.without_depth = blind
         self.names, self.seen = missing, seen
 
 

@@ -19,12 +19,18 @@ from resync_robot.core.world import CameraFrame
 @dataclass(frozen=True)
 class SceneEstimate:
     """What one scan says. `blocks` by name; `glimpses`: blocks of which only sides are seen; `surplus`: blocks beyond
-    those that there are of their colour."""
+    those that there are of their colour; `without_depth`: names of blocks whose pixels hold no depth."""
 
     box: BoxEstimate
     blocks: Mapping[str, BlockEstimate]
     glimpses: Mapping[str, Glimpse]
     surplus: tuple[BlockEstimate, ...] = ()
+    without_depth: tuple[str, ...] = ()
+
+
+def catalogue_of(rig: Rig) -> Catalogue:
+    """The catalogue with the colours of the rig file, where it has any."""
+    return Catalogue(hues=rig.hues) if rig.hues else Catalogue()
 
 
 class SceneEstimator:
@@ -38,7 +44,7 @@ class SceneEstimator:
 
     def __init__(self, rig: Rig, catalogue: Catalogue | None = None, segmenter: Segmenter | None = None) -> None:
         self.rig = rig
-        self.catalogue = catalogue or (Catalogue(hues=rig.hues) if rig.hues else Catalogue())
+        self.catalogue = catalogue or catalogue_of(rig)
         self.segmenter = segmenter or ColourSegmenter(self.catalogue)
 
     def estimate(self, frames: Sequence[CameraFrame]) -> SceneEstimate:
@@ -58,4 +64,4 @@ class SceneEstimator:
             for v, f in zip(views, frames, strict=True)
         ]
         blocks = estimate_blocks(views, self.catalogue, box)
-        return SceneEstimate(box, blocks.found, blocks.glimpses, blocks.surplus)
+        return SceneEstimate(box, blocks.found, blocks.glimpses, blocks.surplus, blocks.without_depth)

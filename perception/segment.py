@@ -7,7 +7,7 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
 
 from perception.catalogue import Catalogue
 from resync_robot.core.errors import PerceptionError
@@ -29,6 +29,17 @@ class Segmenter(Protocol):
     def segment(self, frame: CameraFrame) -> list[Segment]: ...
 
 
+def as_rgb(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture of a frame. Raises PerceptionError where it is no 8-bit RGB."""
+    colour = frame.colour
+    if colour.dtype != np.uint8 or colour.ndim != 3 or colour.shape[2] != 3:
+        raise PerceptionError(
+            f"the picture of camera '{frame.name}' is {colour.dtype} {colour.shape}, not uint8 (H, W, 3) RGB",
+            "set the camera's colour stream to RGB8",
+        )
+    return colour
+
+
 class ColourSegmenter:
     """Saturated pixels of a catalogue hue, joined into connected components. Needs no weights.
 
@@ -46,12 +57,7 @@ class ColourSegmenter:
 
     def segment(self, frame: CameraFrame) -> list[Segment]:
         """Components of every catalogue colour. Raises PerceptionError on a picture that is no 8-bit RGB."""
-        colour = frame.colour
-        if colour.dtype != np.uint8 or colour.ndim != 3 or colour.shape[2] != 3:
-            raise PerceptionError(
-                f"the picture of camera '{frame.name}' is {colour.dtype} {colour.shape}, not uint8 (H, W, 3) RGB",
-                "set the camera's colour stream to RGB8",
-            )
+        colour = as_rgb(frame)
         c = self._catalogue
         hsv = cv2.cvtColor(cv2.GaussianBlur(colour, (3, 3), 0.6), cv2.COLOR_RGB2HSV_FULL)
         hue = hsv[..., 0].astype(np.float32) / 256

@@ -16,7 +16,9 @@ from hardware.travel import travel
 from perception.belief import Belief
 from perception.cutout import cut_out
 from perception.naming import UnsettledSceneError
+from perception.objects import SceneEstimator
 from perception.scan import Scan
+from perception.segment import Segmenter
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
 from resync_robot.core.joints import JointTarget
@@ -53,6 +55,7 @@ class DeployedWorld:
         on_scan: called with the pictures and the estimate of every scan.
         abstraction: says which atoms hang on poses that are not known well; their objects are looked at again.
         on_doubt: told of those that further looks did not decide.
+        segmenter: finds the blocks in pictures; by colour unless given.
         on_stop: called when the robot has made a protective stop; it asks a person, and returns when the robot may
             go on, or raises. Without it a protective stop ends the episode.
     """
@@ -68,6 +71,7 @@ class DeployedWorld:
         on_stop: Callable[[ProtectiveStopError], None] | None = None,
         abstraction: DoubtingAbstraction | None = None,
         on_doubt: InDoubt | None = None,
+        segmenter: Segmenter | None = None,
     ) -> None:
         self._abstraction, self._on_doubt = abstraction, on_doubt
         self._on_stop = on_stop
@@ -76,7 +80,9 @@ class DeployedWorld:
         self.scan = Scan(rig)
         self._robot_object = next(o for o in objects if o.type == ROBOT)
         box = next(o for o in objects if o.type == BOX)
-        self.belief = Belief(self._robot_object, box, [o for o in objects if o.type == BLOCK], rig)
+        blocks = [o for o in objects if o.type == BLOCK]
+        estimator = SceneEstimator(rig, segmenter=segmenter)
+        self.belief = Belief(self._robot_object, box, blocks, rig, estimator)
         self._live_state, self._on_scan = live_state, on_scan
         self._held: Object | None = None
         self.scans = 0

@@ -104,6 +104,15 @@ class ControllerRig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Sam3Rig:
+    """The `[sam3]` table: where its weights and vocabulary lie, and what to ask for, by the name of a block."""
+
+    checkpoint: Path
+    vocabulary: Path
+    prompts: Mapping[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Rig:
     """Everything above, read from one TOML file; `hash` names that content in libraries and recordings.
 
@@ -119,6 +128,7 @@ class Rig:
     calibration_limits: CalibrationLimits = CalibrationLimits()
     controller: ControllerRig | None = None
     hues: Mapping[str, float] = field(default_factory=dict)
+    sam3: Sam3Rig | None = None
 
     def tip_pose(self, q: Float[np.ndarray, "*b 6"]) -> Float[np.ndarray, "*b 4 4"]:
         """world_T_tip at (..., 6) joint positions in rad."""
@@ -176,7 +186,7 @@ _CONTROLLER = (
     "force_limit",
     "emulated",
 )
-_TEXT = ("address", "model", "name", "mount", "serial", "provenance")
+_TEXT = ("address", "checkpoint", "vocabulary", "model", "name", "mount", "serial", "provenance")
 
 
 # What the UR7e's data sheet and the driver allow: kg, s, s, Hz, N.
@@ -233,6 +243,13 @@ def load_rig(path: Path | None = None) -> Rig:
             table = {k: v for k, v in table.items() if k not in ("calibration", "noise")}
         return CameraRig(**section(table, _CAMERA, title), calibration=record, noise=noise)
 
+    def sam3(table: Any) -> Sam3Rig:
+        prompts = table.get("prompts") if isinstance(table, Mapping) else None
+        if not isinstance(prompts, Mapping) or not prompts or not all(isinstance(p, str) for p in prompts.values()):
+            raise ConfigError(f"{where}: [sam3.prompts] must name what to ask for", 'write it as: b0 = "red block"')
+        paths = section({k: v for k, v in table.items() if k != "prompts"}, ("checkpoint", "vocabulary"), "sam3")
+        return Sam3Rig(prompts=dict(prompts), **{name: Path(value) for name, value in paths.items()})
+
     def hues(table: Any) -> Mapping[str, float]:
         if not isinstance(table, Mapping):
             raise ConfigError(f"{where}: [hues] must be a table, not {table!r}", "write it as: b0 = 0.0")
@@ -242,7 +259,7 @@ def load_rig(path: Path | None = None) -> Rig:
                 raise ConfigError(f"{where}: [hues] {name} is {value:g}", "a hue is from 0 up to, not including, 1")
         return {name: float(value) for name, value in table.items()}
 
-    tables = ("arm", "gripper", "cameras", "calibration_limits", "controller", "hues")
+    tables = ("arm", "gripper", "cameras", "calibration_limits", "controller", "hues", "sam3")
     top = section({k: v for k, v in data.items() if k not in tables}, ("name", "provenance"), "")
     cameras = data.get("cameras")
     if not isinstance(cameras, list) or not cameras:
@@ -259,6 +276,7 @@ def load_rig(path: Path | None = None) -> Rig:
             ControllerRig(**section(data["controller"], _CONTROLLER, "controller")) if "controller" in data else None
         ),
         hues=hues(data.get("hues", {})),
+        sam3=sam3(data["sam3"]) if "sam3" in data else None,
     )
 
 

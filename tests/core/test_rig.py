@@ -120,6 +120,9 @@ def test_noise_and_hues_are_read_where_they_are_given(tmp_path: Path) -> None:
         ("[cameras.noise]\nflying_share = 0.8", "together at most 1"),
         ("[hues]\nb0 = 1.0", "a hue is from 0 up to"),
         ('[hues]\nb0 = "red"', "b0 must be a number"),
+        ('[sam3]\ncheckpoint = "a"\nvocabulary = "b"', "[sam3.prompts] must name what to ask for"),
+        ('[sam3]\ncheckpoint = 1\nvocabulary = "b"\nprompts = { b0 = "red block" }', "checkpoint must be text"),
+        ('[sam3]\nvocabulary = "b"\nprompts = { b0 = "red block" }', "no field checkpoint"),
         ("[[hues]]\nb0 = 0.1", "[hues] must be a table"),
     ],
 )

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from perception.belief import Belief
 from perception.catalogue import Catalogue
-from perception.naming import AmbiguousObjectsError
+from perception.naming import AmbiguousObjectsError, MissingObjectsError
 from perception.objects import SceneEstimate, SceneEstimator
+from perception.segment import ColourSegmenter
 from resync_robot.core import spatial
 from resync_robot.core.rig import Rig
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
@@ -79,3 +81,19 @@ def test_one_block_too_many_is_reported_and_never_chosen(rig: Rig) -> None:
     swapped = replace(scene.surplus[0], name="b0")
     again = belief.update(replace(scene, blocks={"b0": swapped}, surplus=(scene.blocks["b0"],)), robot)
     assert again[b0][:2] == pytest.approx(before[:2], abs=1e-6)
+
+
+def test_a_mask_without_depth_says_so(rig: Rig) -> None:
+    table = Table(rig, Catalogue())
+    table.block("b0", 0.45, 0.05, FLOOR, 0.2, WIDTH, HEIGHT)
+    frames = []
+    for frame in table.scan():
+        depth = frame.depth.copy()
+        for segment in ColourSegmenter(Catalogue()).segment(frame):
+            depth[cv2.dilate(segment.mask.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)] = 0
+        frames.append(replace(frame, depth=depth))
+    scene = SceneEstimator(rig).estimate(frames)
+    assert scene.without_depth == ("b0",) and not scene.blocks
+    belief = Belief(ROBOT("r"), BOX("box"), (BLOCK("b0"),), rig)
+    with pytest.raises(MissingObjectsError, match=r"b0 shows in the pictures, but without depth(.|\n)*glare"):
+        belief.update(scene, np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, 0.14]))
