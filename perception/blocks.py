@@ -27,7 +27,7 @@ from perception.pose import (
 from perception.views import View, gather
 from resync_robot.core import spatial
 
-BLOCK_SIGMA = ViewSigma(place=0.00123, yaw=0.0078)
+BLOCK_SIGMA = ViewSigma(place=0.00118, yaw=0.0078)
 SIZE_SIGMA = 0.0006
 BESIDE = 1.3
 """Distance of two centres over their width, below which blocks touch: one edge of each is not seen."""
