@@ -97,12 +97,13 @@ class Scan:
             frames.append(capture())
         return frames
 
-    def towards(self, place: Float[np.ndarray, "2"], count: int = 2) -> list[Float[np.ndarray, "6"]]:
+    def towards(self, place: Sequence[float] | Float[np.ndarray, "2"], count: int = 2) -> list[Float[np.ndarray, "6"]]:
         """Configurations that put a place of the table into the middle of the picture, from up to `count` sides.
 
         The first side is that of the middle of the round: from there no wall of the box hides its corner. Fewer than
         `count`, or none, where the arm does not reach.
         """
+        place = np.asarray(place, dtype=np.float64)
         middle = np.mean([v.camera_xy for v in self._viewpoints], axis=0)
         first = float(np.arctan2(*(middle - place)[::-1]))
         found: list[np.ndarray] = []

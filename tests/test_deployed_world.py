@@ -1,19 +1,30 @@
-"""What a skill may look at while it moves: parts of pictures, of whichever camera gives them."""
+"""What a skill may look at while it moves, and where the robot looks again before it acts."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
 from hardware.sim import SimRobot
+from perception.catalogue import Catalogue
+from perception.naming import MissingObjectsError
+from perception.scan import Scan
+from resync_robot import deployed_world
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import load_rig
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atom, Object, Predicate
+from resync_robot.core.vocabulary import BLOCK
 from resync_robot.core.world import CameraFrame, Cutout, Window
-from resync_robot.deployed_world import OracleWorld
+from resync_robot.deployed_world import MORE_LOOKS, DeployedWorld, OracleWorld
+from resync_robot.doubt import DoubtingAbstraction
+from resync_robot.planning.abstract import Abstraction
 from sim_training.world import SimWorld
 from tests import scenes
+from tests.perception.raycast import FLOOR, Table
 
 RIG = load_rig()
 WINDOW = Window(10.0, 20.0, 32.0, 32.0)
@@ -74,3 +85,87 @@ def test_a_camera_that_is_not_there_or_mis_sized_is_named(world: OracleWorld) ->
 
 def test_a_simulated_robot_waits_for_whoever_thinks(world: OracleWorld) -> None:
     assert not world.observe().realtime
+
+
+STRIPED = Predicate("Striped", (BLOCK,))
+ROUND = len(Scan(RIG).configurations)
+
+
+class Eye(Whole):
+    """A wrist camera that sees a drawn table from wherever the arm was sent."""
+
+    def __init__(self, table: Table) -> None:
+        super().__init__("wrist")
+        self.table, self.at = table, [RIG.arm.home]
+
+    def capture(self) -> CameraFrame:
+        self.asked.append("picture")
+        return self.table.picture(self.at[-1])
+
+
+@dataclass
+class Looking:
+    """A deployment that looks at a drawn table with one block at x = 0.45."""
+
+    world: DeployedWorld
+    eye: Eye
+    doubts: list[tuple[dict[str, float], int]]
+
+
+def looking(monkeypatch: pytest.MonkeyPatch, stripe: float = 1.0, blocks: tuple[str, ...] = ("b0",)) -> Looking:
+    """With a predicate that is true of blocks in every other stripe of the table, so wide in m."""
+    table = Table(RIG, Catalogue())
+    table.block("b0", 0.45, 0.05, FLOOR, 0.2, 0.060, 0.045)
+    eye, doubts = Eye(table), []
+    monkeypatch.setattr(deployed_world, "travel", lambda stream, q: eye.at.append(q))
+
+    def striped(state: State, objects: tuple[Object, ...]) -> float:
+        return float(state.get(objects[0], "x")[0] // stripe % 2)
+
+    def on_doubt(atoms: Mapping[Atom, float], looks: int) -> None:
+        doubts.append(({str(a): p for a, p in atoms.items()}, looks))
+
+    simulated = SimWorld(scenes.scene({name: (0.0, 0.1 * i) for i, name in enumerate(blocks)}), RIG)
+    robot = SimRobot(simulated)
+    robot.connect()
+    abstraction = DoubtingAbstraction(Abstraction((STRIPED,), {"Striped": striped}))
+    world = DeployedWorld(
+        robot, {"wrist": eye}, RIG, simulated.task.objects, abstraction=abstraction, on_doubt=on_doubt
+    )
+    return Looking(world, eye, doubts)
+
+
+def test_what_is_certain_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    certain = looking(monkeypatch)
+    certain.world.perceive()
+    assert len(certain.eye.asked) == ROUND and not certain.doubts
+
+
+def test_an_atom_in_doubt_is_looked_at_again_and_then_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    unsure = looking(monkeypatch, 0.0003)
+    state = unsure.world.perceive()
+    assert len(unsure.eye.asked) == ROUND + 2 * MORE_LOOKS
+    ((shares, looks),) = unsure.doubts
+    assert looks == 1 + MORE_LOOKS and 0.1 < shares["Striped(b0)"] < 0.9
+    # More pictures, less doubt about the place.
+    before, after = (s.covariance(scenes.B0)[0, 0] for s in (looking(monkeypatch).world.perceive(), state))
+    assert after < before
+
+
+@pytest.mark.slow
+def test_a_block_that_nobody_ever_saw_is_looked_for_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    missing = looking(monkeypatch, blocks=("b0", "b1"))
+    with pytest.raises(MissingObjectsError, match="did not find b1"):
+        missing.world.perceive()
+    assert len(missing.eye.asked) == ROUND * (1 + MORE_LOOKS)
+
+
+@pytest.mark.slow
+def test_one_that_was_seen_before_is_looked_for_where_it_stood(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = looking(monkeypatch)
+    before = world.world.perceive()
+    world.eye.table, world.eye.asked = Table(RIG, Catalogue()), []
+    after = world.world.perceive()
+    assert len(world.eye.asked) == ROUND + 2 * MORE_LOOKS
+    assert world.world.missing == ("b0",)
+    assert np.array_equal(after[scenes.B0], before[scenes.B0]), "it keeps its old place"
