@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from perception.catalogue import Catalogue
-from perception.objects import SceneEstimate, SceneEstimator
+from perception.objects import SceneEstimate, SceneEstimator, catalogue_of
 from perception.scan import Scan
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import PerceptionError
@@ -154,6 +154,15 @@ def test_noise_instead_of_pictures_crashes_nothing(rig: Rig, frames: list[Camera
     ]
     with pytest.raises(PerceptionError):
         SceneEstimator(rig).estimate(noise)
+
+
+def test_a_lab_with_blocks_of_its_own_colours(rig: Rig) -> None:
+    own = replace(rig, hues={"b0": 0.80, "b1": 0.45})
+    table = Table(own, catalogue_of(own))
+    table.block("b0", 0.45, 0.05, FLOOR, 0.2, 0.060, 0.045)
+    frames = table.scan()
+    assert set(SceneEstimator(own).estimate(frames).blocks) == {"b0"}
+    assert not SceneEstimator(rig).estimate(frames).blocks
 
 
 @pytest.mark.slow
