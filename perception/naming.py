@@ -86,7 +86,7 @@ def name_blocks(
         The scene with the names put right, and what stays open: blocks seen more often than they exist, each with the
         places where. They are not in the scene.
     """
-    blocks = dict(scene.blocks)
+    blocks, glimpses = dict(scene.blocks), dict(scene.glimpses)
     ambiguous: dict[str, np.ndarray] = {}
     for group in look_alikes:
         mine = [n for n in group if n in names]
@@ -107,7 +107,11 @@ def name_blocks(
             left = [e for e in seen if not any(e is c for c in chosen.values())]
             chosen |= dict(zip(open_names, left, strict=False))
         blocks |= {name: replace(estimate, name=name) for name, estimate in chosen.items()}
-    return replace(scene, blocks=blocks), ambiguous
+        # What is only glimpsed is one of those that were not seen.
+        glimpsed = [glimpses.pop(name) for name in group if name in glimpses]
+        unseen = [n for n in mine if n not in chosen]
+        glimpses |= {name: replace(g, name=name) for name, g in zip(unseen, glimpsed, strict=False)}
+    return replace(scene, blocks=blocks, glimpses=glimpses), ambiguous
 
 
 def _nearest(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.blocks import BlockEstimate
+from perception.blocks import BlockEstimate, Glimpse
 from perception.naming import name_blocks
 from perception.objects import SceneEstimate
 from perception.pose import BoxEstimate
@@ -69,3 +71,17 @@ def test_other_colours_are_left_alone() -> None:
     b1 = estimate("b1", 0.1, 0.1)
     named, _ = name_blocks(scene(b1), ALIKE, NAMES, None, PLACES)
     assert named.blocks == {"b1": b1}
+
+
+@pytest.mark.parametrize("seen_as", ["b0", "b4"])
+@pytest.mark.parametrize("places", [{}, PLACES])
+def test_what_is_glimpsed_is_the_one_that_was_not_seen(seen_as: str, places: dict[str, np.ndarray]) -> None:
+    other = ({"b0", "b4"} - {seen_as}).pop()
+    seen = replace(scene(estimate(seen_as, 0.6, -0.1)), glimpses={other: Glimpse(other, np.array([0.4, 0.1]))})
+    named, _ = name_blocks(seen, ALIKE, NAMES, None, places)
+    assert len(named.blocks) == len(named.glimpses) == 1
+    assert set(named.blocks) | set(named.glimpses) == {"b0", "b4"}
+    (glimpse,) = named.glimpses.values()
+    assert glimpse.name in named.glimpses and glimpse.centre[0] == 0.4
+    if places:
+        assert set(named.blocks) == {"b4"}
