@@ -154,6 +154,24 @@ class Calibrator:
         """(4, 4) cam_T_board by the arm."""
         return spatial.inverse(mount_T_cam) @ view.mount_T_other @ other_T_board
 
+    def location_covariance(self, view: View, mount_T_cam: np.ndarray, other_T_board: np.ndarray) -> np.ndarray:
+        """(6, 6) of where a single view puts the board's centre, against where it is: rotation vector (rad), then
+        position (m), in the board's axes. What the expected noise of pixels and arm gives."""
+        about = spatial.transform(None, self.spec.centre)
+        back, step = spatial.inverse(about), 1e-5
+        base = self._misses(view, mount_T_cam, other_T_board)
+        jacobian = np.stack(
+            [
+                (self._misses(view, mount_T_cam, other_T_board @ about @ _small(step * unit) @ back) - base) / step
+                for unit in np.eye(6)
+            ],
+            -1,
+        )
+        solve = np.linalg.pinv(jacobian)
+        arm = solve @ self._sensitivity(view, mount_T_cam, other_T_board)
+        arm_variance = np.repeat([self.noise.arm_rotation**2, self.noise.arm_position**2], 3)
+        return self.noise.pixel_px**2 * solve @ solve.T + arm * arm_variance @ arm.T
+
     # -- what a set of views must be like
 
     def _check_views(self, views: Sequence[View]) -> None:

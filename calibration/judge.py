@@ -14,6 +14,8 @@ from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 
 FOLDS = 5
+DESCRIBES = 1.6
+"""Factor up to which the plain figure may depart from the pooled one by chance: twenty views leave a sixth (sigma)."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,31 @@ def judge(
     return Errors(*np.array(rows).reshape(-1, 3).T)
 
 
-def held_out(calibrator: Calibrator, views: Sequence[View], result: HandEye) -> Errors:
+@dataclass(frozen=True)
+class HeldOutErrors(Errors):
+    """Errors of views that a calibration has not seen, few and of unequal worth: a steep view tells the board's turn
+    much better than a flat one, so the plain mean of twenty squares hangs on a handful of them.
+
+    Attributes:
+        scale: (n,) how far each view is off, in units of what pixels and arm are expected to give, over all six
+            directions at once.
+        expected: (n, 2) mm and degrees that these give.
+    """
+
+    scale: Float[np.ndarray, " n"]
+    expected: Float[np.ndarray, "n 2"]
+
+    @property
+    def rms(self) -> tuple[float, float, float]:
+        """Root mean squares: mm, degrees, px. The first two as expected, times how much the views are off as a whole;
+        as they are where that does not describe them."""
+        plain = super().rms
+        pooled = [rms(self.scale) * rms(self.expected[:, i]) for i in (0, 1)]
+        mm, deg = (p if 1 / DESCRIBES < r / p < DESCRIBES else r for p, r in zip(pooled, plain, strict=False))
+        return mm, deg, plain[2]
+
+
+def held_out(calibrator: Calibrator, views: Sequence[View], result: HandEye) -> HeldOutErrors:
     """Errors on each kept view by a calibration from the other folds: an honest figure from the views at hand.
 
     Raises:
@@ -69,6 +95,7 @@ def held_out(calibrator: Calibrator, views: Sequence[View], result: HandEye) -> 
     """
     good = [v for v, k in zip(views, result.kept, strict=True) if k]
     folds: list[Errors] = []
+    shares: list[tuple[float, float, float]] = []
     for fold in range(FOLDS):
         rest = [v for i, v in enumerate(good) if i % FOLDS != fold]
         try:
@@ -79,7 +106,29 @@ def held_out(calibrator: Calibrator, views: Sequence[View], result: HandEye) -> 
                 "take more views: resync-robot calibrate hand-eye --poses 20",
             ) from None
         folds.append(judge(calibrator, good[fold::FOLDS], part.mount_T_cam, part.other_T_board))
-    return Errors(*(np.concatenate([getattr(e, name) for e in folds]) for name in ("mm", "deg", "px")))
+        shares += [_against_noise(calibrator, v, part.mount_T_cam, part.other_T_board) for v in good[fold::FOLDS]]
+    shared = np.array(shares)
+    return HeldOutErrors(
+        mm=np.concatenate([e.mm for e in folds]),
+        deg=np.concatenate([e.deg for e in folds]),
+        px=np.concatenate([e.px for e in folds]),
+        scale=shared[:, 0],
+        expected=shared[:, 1:],
+    )
+
+
+def _against_noise(
+    calibrator: Calibrator, view: View, mount_T_cam: np.ndarray, other_T_board: np.ndarray
+) -> tuple[float, float, float]:
+    """How far a view is off in units of the expected noise, and what that noise alone gives in mm and degrees."""
+    predicted = calibrator.predicted(view, mount_T_cam, other_T_board)
+    about = spatial.transform(None, calibrator.spec.centre)
+    covariance = calibrator.location_covariance(view, mount_T_cam, other_T_board)
+    off = spatial.inverse(predicted @ about) @ view.cam_T_board @ about
+    error = np.concatenate([spatial.rotation_vector(off[:3, :3]), off[:3, 3]])
+    scale = np.sqrt(error @ np.linalg.solve(covariance, error) / 6)
+    variance = np.diag(covariance)
+    return float(scale), 1000 * float(np.sqrt(variance[3:].sum())), float(np.degrees(np.sqrt(variance[:3].sum())))
 
 
 def board_by(calibrator: Calibrator, views: Sequence[View], mount_T_cam: Float[np.ndarray, "4 4"]) -> np.ndarray:

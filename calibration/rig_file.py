@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +16,31 @@ from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationRecord
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.rig import load_rig
+from resync_robot.core.sensor_noise import SensorNoise
 
 
-def update_rig(source: Path | None, target: Path, camera: str, values: Mapping[str, Any], record: Any = None) -> None:
+def update_rig(
+    source: Path | None,
+    target: Path,
+    camera: str,
+    values: Mapping[str, Any],
+    record: CalibrationRecord | None = None,
+    noise: SensorNoise | None = None,
+) -> None:
     """Write `target`: the rig file `source` (None: the built-in one) with another camera entry.
 
     The result is read back and compared before anything is replaced; an older `target` is kept as `target.bak`.
 
     Args:
         values: fields of the camera; `pose` as a (4, 4) matrix, the others numbers.
-        record: a CalibrationRecord that takes the place of an earlier one; None leaves it.
+        record, noise: take the place of earlier ones; None leaves those.
 
     Raises:
         ConfigError: the file is written in an unusual way, or cannot be written.
     """
     text = source.read_text() if source else files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
-    edited = _edit(text, camera, values, record)
+    tables = {name: table for name, table in (("calibration", record), ("noise", noise)) if table is not None}
+    edited = _edit(text, camera, values, tables)
     beside = target.with_name(target.name + ".part")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -38,7 +48,7 @@ def update_rig(source: Path | None, target: Path, camera: str, values: Mapping[s
     except OSError as error:
         raise ConfigError(f"cannot write {target}: {error.strerror}", "give another file with --write") from None
     try:
-        _compare(beside, source, camera, values, record)
+        _compare(beside, source, camera, values, tables)
     except ConfigError:
         beside.unlink()
         raise
@@ -53,12 +63,13 @@ def pose_text(pose: np.ndarray) -> str:
     return "[" + ", ".join([*(f"{v:.6f}" for v in numbers[:3]), *(f"{v:.8f}" for v in numbers[3:])]) + "]"
 
 
-def _edit(text: str, camera: str, values: Mapping[str, Any], record: CalibrationRecord | None) -> str:
+def _edit(text: str, camera: str, values: Mapping[str, Any], tables: Mapping[str, Any]) -> str:
     lines = text.splitlines()
     begin, end = _camera_lines(lines, camera)
     # A sub-table of this camera begins its own section.
-    sub = next((i for i in range(begin + 1, end) if re.match(r"\s*\[", lines[i])), end)
-    own, calibration = lines[begin:sub], lines[sub:end]
+    heads = [i for i in range(begin + 1, end) if re.match(r"\s*\[", lines[i])]
+    own = lines[begin : heads[0] if heads else end]
+    sections = [lines[i:j] for i, j in pairwise([*heads, end])]
     for name, value in values.items():
         shown = pose_text(value) if name == "pose" else f"{value:.6g}"
         places = [i for i, line in enumerate(own) if re.match(rf"\s*{name}\s*=", line)]
@@ -66,16 +77,21 @@ def _edit(text: str, camera: str, values: Mapping[str, Any], record: Calibration
             raise ConfigError(f"the entry of camera '{camera}' has no line '{name} = ...' of its own", "write it so")
         comment = re.search(r"\s*#[^\"\]]*$", own[places[0]])
         own[places[0]] = f"{name} = {shown}{comment.group() if comment else ''}"
-    if record is not None:
-        calibration = [
-            "",
-            "[cameras.calibration]",
-            *(f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v:.4g}" for k, v in asdict(record).items()),
-            "",
-        ]
-        while own and not own[-1].strip():
-            own.pop()
-    return "\n".join([*lines[:begin], *own, *calibration, *lines[end:]]).rstrip() + "\n"
+    for name, table in tables.items():
+        sections = [s for s in sections if not re.match(rf"\s*\[\s*cameras\s*\.\s*{name}\s*\]", s[0])]
+        sections.append(
+            [
+                f"[cameras.{name}]",
+                *(f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v:.4g}" for k, v in asdict(table).items()),
+            ]
+        )
+    written = [line for section in [own, *sections] for line in [*_without_blank_end(section), ""]]
+    return "\n".join([*lines[:begin], *written, *lines[end:]]).rstrip() + "\n"
+
+
+def _without_blank_end(lines: list[str]) -> list[str]:
+    last = max((i for i, line in enumerate(lines) if line.strip()), default=-1)
+    return lines[: last + 1]
 
 
 def _camera_lines(lines: list[str], camera: str) -> tuple[int, int]:
@@ -90,11 +106,22 @@ def _camera_lines(lines: list[str], camera: str) -> tuple[int, int]:
     raise ConfigError(f'the rig file has no [[cameras]] entry with a line name = "{camera}"', "write it so")
 
 
-def _compare(written: Path, source: Path | None, camera: str, values: Mapping[str, Any], record: Any) -> None:
+def _compare(
+    written: Path, source: Path | None, camera: str, values: Mapping[str, Any], tables: Mapping[str, Any]
+) -> None:
     before, after = load_rig(source).camera(camera), load_rig(written).camera(camera)
     for name in ("pose", "fx", "fy", "cx", "cy", "position_sigma", "rotation_sigma"):
         wanted = values.get(name, getattr(before, name))
         if not np.allclose(getattr(after, name), wanted, rtol=1e-4, atol=1e-6):
             raise ConfigError(f"the rig file is written in a way in which '{name}' of '{camera}' cannot be changed")
-    if record is not None and (after.calibration is None or after.calibration.calibrated != record.calibrated):
-        raise ConfigError("the rig file is written in a way to which no [cameras.calibration] can be added")
+    for name, wanted in tables.items():
+        found = getattr(after, name)
+        if found is None or any(not _same(getattr(found, k), v) for k, v in asdict(wanted).items()):
+            raise ConfigError(f"the rig file is written in a way to which no [cameras.{name}] can be added")
+    for name in {"calibration", "noise"} - set(tables):
+        if getattr(after, name) != getattr(before, name):
+            raise ConfigError(f"the rig file is written in a way in which [cameras.{name}] would be lost")
+
+
+def _same(found: Any, wanted: Any) -> bool:
+    return found == wanted if isinstance(wanted, str) else bool(np.isclose(found, wanted, rtol=1e-3))

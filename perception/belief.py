@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from perception.blocks import BlockEstimate, Glimpse
+from perception.naming import AmbiguousObjectsError, MissingObjectsError, name_blocks
 from perception.objects import SceneEstimate, SceneEstimator
-from perception.pose import BlockEstimate, Glimpse, inside_box, upright_covariance, yaw_variance_of
+from perception.pose import HEIGHT_SIGMA, inside_box, upright_covariance, yaw_variance_of
 from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
@@ -27,30 +29,17 @@ LIFTED = 0.020
 """A block whose underside is this far above the ground stands on something, m."""
 
 
-class MissingObjectsError(PerceptionError):
-    """A scan did not find everything.
-
-    Attributes:
-        missing: names of the blocks that were neither seen nor plausibly hidden.
-        seen: names of those that were.
-    """
-
-    def __init__(self, missing: tuple[str, ...], seen: tuple[str, ...]) -> None:
-        super().__init__(
-            f"the scan did not find {', '.join(missing)}; it found {', '.join(seen) or 'no block'}",
-            "put it where the wrist camera looks: into the box, or on the table left or right of it",
-        )
-        self.missing, self.seen = missing, seen
-
-
 @dataclass(frozen=True)
 class ScanReport:
-    """What the last scan said about each block, by name. `tipped` blocks were seen, but do not stand upright."""
+    """What the last scan said about each block, by name. `tipped` blocks were seen, but do not stand upright;
+    `ambiguous` ones were seen more than once, and keep their old estimates."""
 
     seen: tuple[str, ...] = ()
     hidden: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     tipped: tuple[str, ...] = ()
+    ambiguous: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,6 +86,7 @@ class Belief:
         self._tip_T_held = np.eye(4)
         self._at_grasp: dict[Object, np.ndarray] = {}
         self._last_opening = np.inf
+        self._ambiguous: Mapping[str, np.ndarray] = {}
         self.report = ScanReport()
 
     @property
@@ -113,15 +103,20 @@ class Belief:
         """Take in the pictures of a scan, taken with the hand as it is now.
 
         Raises:
-            MissingObjectsError: a block was not found and is not plausibly hidden; it keeps its old estimate, and
-                the next `state` works if there is one.
+            UnsettledSceneError: a block was not found and is not plausibly hidden, or was seen more than once; it keeps
+                its old estimate, and the next `state` works if there is one.
             PerceptionError: pictures that cannot be used, or no box; nothing is changed.
         """
         self._follow_hand(robot_features)
         return self.update(self._estimator.estimate(frames), robot_features)
 
     def update(self, scene: SceneEstimate, robot_features: Float[np.ndarray, "8"]) -> State:
-        """Take in an estimate of the scene. Raises MissingObjectsError as `update_from_scan` does."""
+        """Take in an estimate of the scene. Raises UnsettledSceneError as `update_from_scan` does."""
+        places = {b.name: k.features[:2] for b, k in self._known.items() if b in self._blocks}
+        held = self._held.name if self._held else None
+        scene, ambiguous = name_blocks(
+            scene, self._estimator.catalogue.look_alikes, [b.name for b in self._blocks], held, places
+        )
         box_sizes, scans = self._averaged_sizes(self._box, scene.box.features[7:])
         self._known[self._box] = _Known(np.array([*scene.box.features[:7], *box_sizes]), scene.box.covariance, scans)
         seen = [b for b in self._blocks if b.name in scene.blocks]
@@ -129,7 +124,7 @@ class Belief:
             self._change_grasp(seen, robot_features)
         for block in seen:
             self._take(block, scene.blocks[block.name])
-        unseen = [b for b in self._blocks if b not in seen and b != self._held]
+        unseen = [b for b in self._blocks if b not in seen and b != self._held and b.name not in ambiguous]
         # From above down, as last believed: what hides under one block may hide another in its turn.
         unseen.sort(key=lambda b: -self._known[b].features[2] if b in self._known else 0.0)
         hidden: list[Object] = []
@@ -142,10 +137,31 @@ class Belief:
             hidden=tuple(b.name for b in hidden),
             held=(self._held.name,) if self._held else (),
             tipped=tuple(b.name for b in seen if not scene.blocks[b.name].upright),
+            ambiguous=tuple(ambiguous),
+            missing=missing,
         )
+        self._ambiguous = ambiguous
         if missing:
-            raise MissingObjectsError(missing, self.report.seen)
+            raise MissingObjectsError(missing, self.report.seen, scene.without_depth)
+        if ambiguous:
+            raise AmbiguousObjectsError(ambiguous)
         return self.state(robot_features)
+
+    def unclear_places(self, most_sigma: float = 0.0012) -> list[Float[np.ndarray, "2"]]:
+        """Where another look may help: blocks that the last scan saw badly, did not find, or saw more than once.
+
+        Args:
+            most_sigma: m, of x or y, up to which a block that was seen is known well enough.
+        """
+        places: list[np.ndarray] = [place for seen in self._ambiguous.values() for place in seen]
+        for block in self._blocks:
+            known = self._known.get(block)
+            if known is None or block == self._held:
+                continue
+            badly = block.name in self.report.seen and np.diag(known.covariance)[:2].max() > most_sigma**2
+            if badly or block.name in self.report.missing:
+                places.append(known.features[:2])
+        return places
 
     def state(self, robot_features: Float[np.ndarray, "8"]) -> State:
         """The present belief: the robot as measured, the held block at the tips, the rest as last seen.
@@ -260,15 +276,18 @@ class Belief:
         before = self._known.get(block)
         sizes, scans = self._averaged_sizes(block, estimate.features[7:])
         height_known = not estimate.stacked
+        covariance = estimate.covariance.copy()
         if before is not None and before.height_known != height_known:
             # Only a block that stands on the ground shows its own height.
             sizes[2] = estimate.features[9] if height_known else before.features[9]
+            if not height_known:
+                covariance[9, 9] = before.covariance[9, 9]
+                covariance[2, 2] = HEIGHT_SIGMA**2 + covariance[9, 9] / 4
             height_known = True
         quat = estimate.features[3:7]
         if before is not None:
             quat = _nearest_quarter_turn(quat, before.features[3:7])
         features = np.array([*estimate.features[:2], estimate.top_z - sizes[2] / 2, *quat, *sizes])
-        covariance = estimate.covariance.copy()
         covariance[:7, :7] = upright_covariance(np.diag(covariance)[:3], yaw_variance_of(covariance), quat)
         self._known[block] = _Known(features, covariance, scans, height_known)
 
@@ -313,15 +332,15 @@ class Belief:
         if before is not None:
             quat, size = _nearest_quarter_turn(quat, before.features[3:7]), before.features[7:10]
             size_sigma, scans = 0.0015, before.scans
-        bottom = _underside(above) - size[2]
+        bottom, z_variance = _underside(above) - size[2], float(cover.covariance[2, 2]) + 0.003**2
         if before is not None and abs(_underside(before.features) - self._ground(above[:2])) < LIFTED / 2:
             # It stood on the ground, and nothing lifts what something is put upon. Where the cover is too high for
             # that, it lies on the stud and is not seated: the belief must not make it fit.
-            bottom = self._ground(above[:2])
+            bottom, z_variance = self._ground(above[:2]), HEIGHT_SIGMA**2 + (size_sigma / 2) ** 2
         features = np.array([*above[:2], bottom + size[2] / 2, *quat, *size])
         covariance = np.zeros((10, 10))
-        variance = np.diag(cover.covariance)[:3] + np.array([0.0015, 0.0015, 0.003]) ** 2
-        covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.05**2, quat)
+        variance = np.array([*(np.diag(cover.covariance)[:2] + 0.001**2), z_variance])
+        covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.03**2, quat)
         covariance[7:, 7:] = np.eye(3) * size_sigma**2
         known = before is not None and before.height_known
         self._known[block] = _Known(features, covariance, max(scans, 1), known)

@@ -18,7 +18,7 @@ class Catalogue:
     hues: Mapping[str, float] = field(
         default_factory=lambda: MappingProxyType({"b0": 0.00, "b1": 0.60, "b2": 0.14, "b3": 0.36})
     )
-    """Hue of each block by its name, in [0, 1): red, blue, yellow, green."""
+    """Hue of each block by its name, in [0, 1): red, blue, yellow, green. Several blocks may have the same."""
     hue_tolerance: float = 0.06
     least_saturation: float = 0.30
     least_value: float = 0.15
@@ -36,3 +36,11 @@ class Catalogue:
     rim_height: tuple[float, float] = (0.085, 0.130)
     """Height of the box's rim above the table."""
     box_inner: tuple[float, float] = (0.24, 0.36)
+
+    @property
+    def look_alikes(self) -> tuple[tuple[str, ...], ...]:
+        """Names of blocks, those of one hue together."""
+        groups: dict[float, list[str]] = {}
+        for name, hue in self.hues.items():
+            groups.setdefault(hue, []).append(name)
+        return tuple(map(tuple, groups.values()))

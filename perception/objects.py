@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from perception.blocks import BlockEstimate, Glimpse, estimate_blocks
 from perception.catalogue import Catalogue
-from perception.pose import BlockEstimate, BoxEstimate, Glimpse, box_outline, estimate_blocks, estimate_box
+from perception.pose import BoxEstimate, box_outline, estimate_box
 from perception.register import align_to_box
 from perception.segment import ColourSegmenter, Segmenter
 from perception.views import level, make_view
@@ -17,11 +18,19 @@ from resync_robot.core.world import CameraFrame
 
 @dataclass(frozen=True)
 class SceneEstimate:
-    """What one scan says. `blocks` by name; `glimpses`: blocks of which only sides are seen."""
+    """What one scan says. `blocks` by name; `glimpses`: blocks of which only sides are seen; `surplus`: blocks beyond
+    those that there are of their colour; `without_depth`: names of blocks whose pixels hold no depth."""
 
     box: BoxEstimate
     blocks: Mapping[str, BlockEstimate]
     glimpses: Mapping[str, Glimpse]
+    surplus: tuple[BlockEstimate, ...] = ()
+    without_depth: tuple[str, ...] = ()
+
+
+def catalogue_of(rig: Rig) -> Catalogue:
+    """The catalogue with the colours of the rig file, where it has any."""
+    return Catalogue(hues=rig.hues) if rig.hues else Catalogue()
 
 
 class SceneEstimator:
@@ -29,13 +38,13 @@ class SceneEstimator:
 
     Args:
         rig: whose hand to mask, and where the cameras sit.
-        catalogue: what may stand on the table.
+        catalogue: what may stand on the table; by default in the colours of the rig file, where it has any.
         segmenter: colour by default.
     """
 
     def __init__(self, rig: Rig, catalogue: Catalogue | None = None, segmenter: Segmenter | None = None) -> None:
         self.rig = rig
-        self.catalogue = catalogue or Catalogue()
+        self.catalogue = catalogue or catalogue_of(rig)
         self.segmenter = segmenter or ColourSegmenter(self.catalogue)
 
     def estimate(self, frames: Sequence[CameraFrame]) -> SceneEstimate:
@@ -54,5 +63,5 @@ class SceneEstimator:
             align_to_box(v, box.features, self.catalogue, self.rig.camera(f.name))
             for v, f in zip(views, frames, strict=True)
         ]
-        blocks, glimpses = estimate_blocks(views, self.catalogue, box)
-        return SceneEstimate(box, blocks, glimpses)
+        blocks = estimate_blocks(views, self.catalogue, box)
+        return SceneEstimate(box, blocks.found, blocks.glimpses, blocks.surplus, blocks.without_depth)

@@ -1,4 +1,4 @@
-"""From labelled views to the poses and sizes of the box and the blocks, each with a covariance.
+"""From labelled views to the pose and size of the box, with a covariance; and what box and blocks have in common.
 
 The features are those of `core.vocabulary`: a block by the centre of its body, the box by the middle of its floor.
 A square block looks the same after a quarter turn: its yaw is in [-pi/4, pi/4).
@@ -14,50 +14,32 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.catalogue import Catalogue
-from perception.outline import (
-    Rectangle,
-    fit_rectangle,
-    grid,
-    outward_of_face,
-    outward_of_ring,
-    rough_rectangle,
-    vote,
-)
+from perception.outline import Rectangle, fit_rectangle, grid, outward_of_ring, rough_rectangle, vote
 from perception.views import BACKGROUND, View, gather
 from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError
 
-VIEW_SIGMA = 0.0014
-"""What a view's own pose error leaves in x and y after the table has corrected its tilt and height, m."""
-VIEW_YAW_SIGMA = 0.007
-"""The same for the yaw of a block or the box, rad."""
 HEIGHT_SIGMA = 0.0005
-SIZE_SIGMA = 0.0006
-TYPICAL_HEIGHT = 0.045
-COVERED_WITHIN = 0.040
-UPRIGHT_WITHIN = np.radians(8.0)
-"""Tilt of the top face beyond which a block does not stand upright; noise alone gives 2-3 degrees."""
+"""Of a horizontal face, m."""
 
 
 @dataclass(frozen=True)
-class BlockEstimate:
-    """One block whose top face was seen.
+class ViewSigma:
+    """What a single view's pose error leaves in an outline after the table has corrected its tilt and height.
+
+    Fitted to errors in simulated scenes; `resync-robot evaluate --perception-only` shows how often ellipses hold the
+    truth.
 
     Attributes:
-        features, covariance: of core.vocabulary.BLOCK.
-        top_z: height of the body's top face in the world, m.
-        upright: its top face is level, high enough, and bears the stud.
-        stacked: it stands on another one, so that its own height is a guess.
-        views: how many saw the top face.
+        place: in x and y, m.
+        yaw: rad.
     """
 
-    name: str
-    features: Float[np.ndarray, "10"]
-    covariance: Float[np.ndarray, "10 10"]
-    top_z: float
-    upright: bool
-    stacked: bool
-    views: int
+    place: float
+    yaw: float
+
+
+BOX_SIGMA = ViewSigma(place=0.00095, yaw=0.0042)
 
 
 @dataclass(frozen=True)
@@ -66,14 +48,6 @@ class BoxEstimate:
 
     features: Float[np.ndarray, "11"]
     covariance: Float[np.ndarray, "11 11"]
-
-
-@dataclass(frozen=True)
-class Glimpse:
-    """A block of which something is seen around `centre` (2,), but no top face that could be measured."""
-
-    name: str
-    centre: Float[np.ndarray, "2"]
 
 
 def box_outline(views: Sequence[View], catalogue: Catalogue) -> np.ndarray | None:
@@ -121,7 +95,7 @@ def estimate_box(views: Sequence[View], catalogue: Catalogue) -> BoxEstimate:
         )
     low, high = catalogue.rim_height
     points, _ = gather(views, [_rim_mask(v, catalogue.table_z + low, catalogue.table_z + high) for v in views])
-    rim_z = _peak_height(points[:, 2])
+    rim_z = peak_height(points[:, 2])
     centre, yaw, extents = rough_rectangle(outline)
     cells = grid(centre, 0.29, 0.003)
 
@@ -143,91 +117,10 @@ def estimate_box(views: Sequence[View], catalogue: Catalogue) -> BoxEstimate:
         [r.x, r.y, floor_z, *spatial.quat_from_yaw(r.yaw), r.width, r.length, rim_z - floor_z, catalogue.wall_thickness]
     )
     covariance = np.zeros((11, 11))
-    n = max(votes.views, 1)
-    covariance[:7, :7] = _fitted_covariance(r, VIEW_SIGMA**2 / n, HEIGHT_SIGMA**2, VIEW_YAW_SIGMA**2 / n)
+    covariance[:7, :7] = fitted_covariance(r, HEIGHT_SIGMA**2, votes.views, BOX_SIGMA)
     covariance[7, 7] = covariance[8, 8] = r.sigma[3] ** 2 + 0.0012**2
     covariance[9, 9] = HEIGHT_SIGMA**2
     return BoxEstimate(features, covariance)
-
-
-def estimate_blocks(
-    views: Sequence[View], catalogue: Catalogue, box: BoxEstimate | None
-) -> tuple[dict[str, BlockEstimate], dict[str, Glimpse]]:
-    """Every block whose top face is seen, and glimpses of those of which only sides are."""
-    found: dict[str, BlockEstimate] = {}
-    glimpses: dict[str, Glimpse] = {}
-    for index, name in enumerate(catalogue.hues):
-        masks = [v.valid & (v.labels == index) & _on_the_table(v, catalogue) for v in views]
-        points, _ = gather(views, masks)
-        cluster = _largest_cluster(points)
-        if cluster is None:
-            continue
-        estimate = _block(views, index, name, cluster, catalogue, box)
-        if estimate is not None:
-            found[name] = estimate
-        else:
-            glimpses[name] = Glimpse(name, np.median(cluster[:, :2], axis=0))
-    for name, block in list(found.items()):
-        # Under another block only a rim of the top face shows, or a side that looks like one: no measurement.
-        if any(_covers(other, block) for other in found.values()):
-            glimpses[name] = Glimpse(name, found.pop(name).features[:2])
-    return found, glimpses
-
-
-def _covers(upper: BlockEstimate, lower: BlockEstimate) -> bool:
-    apart = float(np.hypot(*(upper.features[:2] - lower.features[:2])))
-    return upper.top_z > lower.top_z + TYPICAL_HEIGHT / 2 and apart < COVERED_WITHIN
-
-
-def _block(
-    views: Sequence[View], index: int, name: str, cluster: np.ndarray, catalogue: Catalogue, box: BoxEstimate | None
-) -> BlockEstimate | None:
-    top_z = _peak_height(cluster[:, 2])
-    on_top = np.abs(cluster[:, 2] - top_z) < 0.005
-    # Sides alone have no peak: their heights are spread over the whole block.
-    if on_top.sum() < 60 or on_top.mean() < 0.3:
-        return None
-    top = cluster[on_top]
-    centre, yaw, extents = rough_rectangle(_without_stragglers(top[:, :2]))
-    least, most = catalogue.block_width
-    if extents.max() < least * 0.6 or extents.max() > most * 1.4:
-        return None
-
-    def of_block(view: View) -> np.ndarray:
-        return view.labels == index
-
-    cells = grid(centre, 0.055, 0.001)
-    votes = vote(views, cells, top_z, of_block, outward_of_face(cells, centre))
-    r = fit_rectangle(votes, (centre, yaw, np.clip(extents, least, most)), square=True)
-    if not least <= r.width <= most or r.misfit > 0.35:
-        return None
-    ground = catalogue.table_z
-    if box is not None and inside_box(np.array([r.x, r.y]), box.features):
-        ground += catalogue.floor_thickness
-    tilt = _tilt(top)
-    height = top_z - ground
-    low, high = catalogue.block_height
-    # Of a tower only the whole height is seen: its blocks share it.
-    storeys = 1 if height <= high else round(height / TYPICAL_HEIGHT)
-    size_z, size_z_sigma = height / storeys, SIZE_SIGMA if storeys == 1 else 0.003
-    features = np.array(
-        [r.x, r.y, top_z - size_z / 2, *spatial.quat_from_yaw(r.yaw), r.width, r.width, size_z], dtype=np.float64
-    )
-    n = max(votes.views, 1)
-    covariance = np.zeros((10, 10))
-    z_variance = HEIGHT_SIGMA**2 + (size_z_sigma / 2) ** 2
-    covariance[:7, :7] = _fitted_covariance(r, VIEW_SIGMA**2 / n, z_variance, VIEW_YAW_SIGMA**2 / n)
-    covariance[7:9, 7:9] = r.sigma[3] ** 2 + SIZE_SIGMA**2
-    covariance[9, 9] = size_z_sigma**2
-    upright = tilt < UPRIGHT_WITHIN and height >= low and _has_stud(cluster, r, top_z, catalogue)
-    return BlockEstimate(name, features, covariance, top_z, upright, storeys > 1, votes.views)
-
-
-def _has_stud(cluster: np.ndarray, r: Rectangle, top_z: float, catalogue: Catalogue) -> bool:
-    """Does something of the stud's height stand on the middle of the top face? Not so on a block that lies."""
-    middle = np.hypot(cluster[:, 0] - r.x, cluster[:, 1] - r.y) < catalogue.stud_width / 2
-    high = cluster[middle, 2] > top_z + catalogue.stud_height / 2
-    return len(high) > 20 and bool(high.mean() > 0.3)
 
 
 def inside_box(xy: Float[np.ndarray, "2"], box: Float[np.ndarray, "11"]) -> bool:
@@ -255,9 +148,12 @@ def yaw_variance_of(covariance: np.ndarray) -> float:
     return 4.0 * float(np.trace(covariance[3:7, 3:7]))
 
 
-def _fitted_covariance(r: Rectangle, xy_variance: float, z_variance: float, yaw_variance: float) -> np.ndarray:
-    position = np.array([xy_variance + r.sigma[0] ** 2, xy_variance + r.sigma[1] ** 2, z_variance])
-    return upright_covariance(position, yaw_variance + r.sigma[2] ** 2, spatial.quat_from_yaw(r.yaw))
+def fitted_covariance(r: Rectangle, z_variance: float, views: int, sigma: ViewSigma) -> Float[np.ndarray, "7 7"]:
+    """Covariance of x y z qw qx qy qz of an outline that so many views show: what the fit itself does not know, and
+    what the views' own poses leave."""
+    n = max(views, 1)
+    position = np.array([sigma.place**2 / n + r.sigma[0] ** 2, sigma.place**2 / n + r.sigma[1] ** 2, z_variance])
+    return upright_covariance(position, sigma.yaw**2 / n + r.sigma[2] ** 2, spatial.quat_from_yaw(r.yaw))
 
 
 def _rim_mask(view: View, low: float, high: float) -> np.ndarray:
@@ -265,12 +161,7 @@ def _rim_mask(view: View, low: float, high: float) -> np.ndarray:
     return view.valid & (view.labels == BACKGROUND) & (z > low) & (z < high)
 
 
-def _on_the_table(view: View, catalogue: Catalogue) -> np.ndarray:
-    z = view.points[..., 2] - catalogue.table_z
-    return (z > 0.008) & (z < 0.26)
-
-
-def _peak_height(z: np.ndarray) -> float:
+def peak_height(z: np.ndarray) -> float:
     """Height of the horizontal face that most points lie on, m."""
     low = float(z.min()) - 0.005
     counts = np.bincount(((z - low) / 0.001).astype(int)).astype(np.float64)
@@ -279,32 +170,3 @@ def _peak_height(z: np.ndarray) -> float:
     for _ in range(3):
         peak = float(np.mean(z[np.abs(z - peak) < 0.0035]))
     return peak
-
-
-def _largest_cluster(points: np.ndarray, step: float = 0.006) -> np.ndarray | None:
-    """The points of the largest connected patch seen from above, without stray ones; None where there are few."""
-    if len(points) < 40:
-        return None
-    origin = points[:, :2].min(axis=0) - step
-    cell = ((points[:, :2] - origin) / step).astype(int)
-    shape = cell.max(axis=0) + 2
-    count = np.zeros(shape, dtype=np.int32)
-    np.add.at(count, (cell[:, 0], cell[:, 1]), 1)
-    _, labels = cv2.connectedComponents((count >= 2).astype(np.uint8), connectivity=8)
-    of_point = labels[cell[:, 0], cell[:, 1]]
-    sizes = np.bincount(of_point)
-    sizes[0] = 0
-    cluster = points[of_point == int(np.argmax(sizes))]
-    return cluster if len(cluster) >= 40 else None
-
-
-def _without_stragglers(xy: np.ndarray) -> np.ndarray:
-    away = np.linalg.norm(xy - np.median(xy, axis=0), axis=1)
-    return xy[away <= np.percentile(away, 97)]
-
-
-def _tilt(top: np.ndarray) -> float:
-    """Angle of the plane through points against the horizontal, rad."""
-    centred = top - top.mean(axis=0)
-    a, b = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
-    return float(np.arctan(np.hypot(a, b)))

@@ -17,6 +17,10 @@ LEAST_TIP_HEIGHT = 0.27
 """m above the table: clears the box's walls and a tower of three with a block in the hand."""
 
 
+CLOSE_TIP_HEIGHT = 0.28
+"""m, for a second look at one place."""
+
+
 @dataclass(frozen=True)
 class Viewpoint:
     """A place of the wrist camera, tool down.
@@ -71,22 +75,57 @@ class Scan:
                 f"a viewpoint holds the tips {low[0].tip_height:.3f} m above the table, at least "
                 f"{LEAST_TIP_HEIGHT} m is allowed"
             )
+        self._viewpoints = tuple(viewpoints)
         self.configurations = self._plan(viewpoints)
 
     def __call__(
-        self, move: Callable[[Float[np.ndarray, "6"]], None], capture: Callable[[], CameraFrame]
+        self,
+        move: Callable[[Float[np.ndarray, "6"]], None],
+        capture: Callable[[], CameraFrame],
+        configurations: Sequence[Float[np.ndarray, "6"]] | None = None,
     ) -> list[CameraFrame]:
         """Take every picture.
 
         Args:
             move: brings the arm to (6,) joint positions in rad and returns when it stands still there.
             capture: a picture exposed after the call.
+            configurations: where from, such as those of `towards`; default: the whole round.
         """
         frames = []
-        for q in self.configurations:
+        for q in self.configurations if configurations is None else configurations:
             move(q)
             frames.append(capture())
         return frames
+
+    def towards(self, place: Sequence[float] | Float[np.ndarray, "2"], count: int = 2) -> list[Float[np.ndarray, "6"]]:
+        """Configurations that put a place of the table into the middle of the picture, from up to `count` sides.
+
+        The first side is that of the middle of the round: from there no wall of the box hides its corner. Fewer than
+        `count`, or none, where the arm does not reach.
+        """
+        place = np.asarray(place, dtype=np.float64)
+        middle = np.mean([v.camera_xy for v in self._viewpoints], axis=0)
+        first = float(np.arctan2(*(middle - place)[::-1]))
+        found: list[np.ndarray] = []
+        for turn in (0.0, np.pi / 2, -np.pi / 2, np.pi / 4, -np.pi / 4):
+            yaw = first + turn
+            ahead = self._ahead(CLOSE_TIP_HEIGHT)
+            place_of_camera = place + ahead * np.array([np.cos(yaw), np.sin(yaw)])
+            view = Viewpoint((float(place_of_camera[0]), float(place_of_camera[1])), CLOSE_TIP_HEIGHT, yaw)
+            try:
+                found += self._plan([view])
+            except MotionError:
+                continue
+            if len(found) == count:
+                break
+        return found
+
+    def _ahead(self, tip_height: float) -> float:
+        """How far in front of the camera, seen from above, its optical axis meets the table, m."""
+        flange_T_cam = self._camera.pose
+        down, forth = flange_T_cam[2, 2], -flange_T_cam[0, 2]
+        height = tip_height + self._rig.gripper.tip_offset - flange_T_cam[2, 3]
+        return float(height * forth / down)
 
     def tip_pose(self, viewpoint: Viewpoint) -> Float[np.ndarray, "4 4"]:
         """world_T_tip that puts the camera at a viewpoint."""

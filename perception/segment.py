@@ -7,7 +7,7 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
 
 from perception.catalogue import Catalogue
 from resync_robot.core.errors import PerceptionError
@@ -16,7 +16,8 @@ from resync_robot.core.world import CameraFrame
 
 @dataclass(frozen=True)
 class Segment:
-    """Attributes: `label`, the name of an object; `mask` (H, W) bool, its pixels in one picture."""
+    """Attributes: `label`, the name of a block, of several that look alike the first; `mask` (H, W) bool, its pixels
+    in one picture."""
 
     label: str
     mask: Bool[np.ndarray, "h w"]
@@ -26,6 +27,17 @@ class Segmenter(Protocol):
     """Finds the named objects in one picture; an object that is not seen has no segment."""
 
     def segment(self, frame: CameraFrame) -> list[Segment]: ...
+
+
+def as_rgb(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture of a frame. Raises PerceptionError where it is no 8-bit RGB."""
+    colour = frame.colour
+    if colour.dtype != np.uint8 or colour.ndim != 3 or colour.shape[2] != 3:
+        raise PerceptionError(
+            f"the picture of camera '{frame.name}' is {colour.dtype} {colour.shape}, not uint8 (H, W, 3) RGB",
+            "set the camera's colour stream to RGB8",
+        )
+    return colour
 
 
 class ColourSegmenter:
@@ -45,17 +57,12 @@ class ColourSegmenter:
 
     def segment(self, frame: CameraFrame) -> list[Segment]:
         """Components of every catalogue colour. Raises PerceptionError on a picture that is no 8-bit RGB."""
-        colour = frame.colour
-        if colour.dtype != np.uint8 or colour.ndim != 3 or colour.shape[2] != 3:
-            raise PerceptionError(
-                f"the picture of camera '{frame.name}' is {colour.dtype} {colour.shape}, not uint8 (H, W, 3) RGB",
-                "set the camera's colour stream to RGB8",
-            )
+        colour = as_rgb(frame)
         c = self._catalogue
         hsv = cv2.cvtColor(cv2.GaussianBlur(colour, (3, 3), 0.6), cv2.COLOR_RGB2HSV_FULL)
         hue = hsv[..., 0].astype(np.float32) / 256
         vivid = (hsv[..., 1] >= c.least_saturation * 255) & (hsv[..., 2] >= c.least_value * 255)
-        names = list(c.hues)
+        names = [alike[0] for alike in c.look_alikes]
         away = np.stack([np.abs((hue - c.hues[n] + 0.5) % 1.0 - 0.5) for n in names])
         nearest = np.argmin(away, axis=0)
         close = vivid & (np.min(away, axis=0) <= c.hue_tolerance)

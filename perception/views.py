@@ -32,7 +32,7 @@ class View:
         ray: (H, W, 3) direction of every pixel in the camera, with z = 1.
         depth: (H, W) m, 0 where there is none or where the hand is in the way.
         points: (H, W, 3) in the world; meaningless where depth is 0.
-        labels: (H, W) index of the object's name in the catalogue's order, BACKGROUND elsewhere.
+        labels: (H, W) index into the catalogue's `look_alikes`, BACKGROUND elsewhere.
         hidden: (H, W) True where the hand, or what it holds, hides the scene.
     """
 
@@ -67,19 +67,21 @@ def make_view(frame: CameraFrame, segmenter: Segmenter, catalogue: Catalogue, ri
         PerceptionError: no usable depth, a black picture, shapes that do not fit.
     """
     _check(frame)
-    names = list(catalogue.hues)
+    names = [alike[0] for alike in catalogue.look_alikes]
     labels = np.full(frame.depth.shape, BACKGROUND, dtype=np.int8)
     for segment in segmenter.segment(frame):
         if segment.label in names:
             labels[segment.mask] = names.index(segment.label)
     height, width = frame.depth.shape
     k = frame.intrinsics
-    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    ray = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], -1)
-    depth = frame.depth * CameraFrame.DEPTH_UNIT_M
+    # Single precision is a ten thousandth of a millimetre here, and halves what a large picture costs.
+    u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    k32 = k.astype(np.float32)
+    ray = np.stack([(u - k32[0, 2]) / k32[0, 0], (v - k32[1, 2]) / k32[1, 1], np.ones_like(u)], -1)
+    depth = frame.depth * np.float32(CameraFrame.DEPTH_UNIT_M)
     points = _world_points(ray, depth, frame.world_T_cam)
     hidden = _hand(frame, points, depth, rig)
-    return View(k, frame.world_T_cam, ray, np.where(hidden, 0.0, depth), points, labels, hidden)
+    return View(k, frame.world_T_cam, ray, np.where(hidden, np.float32(0.0), depth), points, labels, hidden)
 
 
 def level(view: View, catalogue: Catalogue, box_outline: np.ndarray | None) -> View:
@@ -93,9 +95,9 @@ def level(view: View, catalogue: Catalogue, box_outline: np.ndarray | None) -> V
     Raises:
         PerceptionError: too little of the table is seen.
     """
-    every = 2
+    every = max(2, round(2 * view.depth.shape[1] / 424))
     points, labels, valid = (a[::every, ::every] for a in (view.points, view.labels, view.valid))
-    p = points[valid & (labels == BACKGROUND)]
+    p = points[valid & (labels == BACKGROUND)].astype(np.float64)
     expected = np.full(len(p), catalogue.table_z)
     usable = np.abs(p[:, 2] - catalogue.table_z) < 0.03
     if box_outline is not None:
@@ -127,13 +129,14 @@ def level(view: View, catalogue: Catalogue, box_outline: np.ndarray | None) -> V
 def gather(views: Sequence[View], mask: Sequence[np.ndarray]) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "n"]]:
     """Points of all views under their masks, and which view each came from."""
     points = [v.points[m] for v, m in zip(views, mask, strict=True)]
-    return np.concatenate(points), np.repeat(np.arange(len(views)), [len(p) for p in points])
+    return np.concatenate(points).astype(np.float64), np.repeat(np.arange(len(views)), [len(p) for p in points])
 
 
 def _world_points(ray: np.ndarray, depth: np.ndarray, world_T_cam: np.ndarray) -> np.ndarray:
     # One product over all pixels: numpy would loop over the rows of an (H, W, 3) operand.
     local = (ray * depth[..., None]).reshape(-1, 3)
-    return (local @ world_T_cam[:3, :3].T + world_T_cam[:3, 3]).reshape(ray.shape)
+    pose = world_T_cam.astype(ray.dtype)
+    return (local @ pose[:3, :3].T + pose[:3, 3]).reshape(ray.shape)
 
 
 def _hand(frame: CameraFrame, points: np.ndarray, depth: np.ndarray, rig: Rig) -> np.ndarray:
@@ -142,7 +145,7 @@ def _hand(frame: CameraFrame, points: np.ndarray, depth: np.ndarray, rig: Rig) -
     if camera.mount != "flange":
         return np.zeros(depth.shape, dtype=bool)
     flange_T_world = camera.pose @ spatial.inverse(frame.world_T_cam)
-    local = spatial.apply(flange_T_world, points.reshape(-1, 3)).reshape(points.shape)
+    local = spatial.apply(flange_T_world.astype(points.dtype), points.reshape(-1, 3)).reshape(points.shape)
     inside = (
         (np.abs(local[..., 0]) < HAND_HALF[0])
         & (np.abs(local[..., 1]) < HAND_HALF[1])

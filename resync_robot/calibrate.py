@@ -7,25 +7,34 @@ from typing import Annotated
 
 import tyro
 
-from resync_robot.calibration_settings import BoardConfig, CheckConfig, HandEyeConfig, IntrinsicsConfig, check_look
+from resync_robot.calibration_settings import (
+    BoardConfig,
+    CheckConfig,
+    HandEyeConfig,
+    IntrinsicsConfig,
+    NoiseConfig,
+    check_look,
+    check_noise,
+)
 from resync_robot.core.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrateConfig:
-    """Calibrate the cameras of a rig: board, intrinsics, hand-eye, check."""
+    """Calibrate the cameras of a rig: board, intrinsics, hand-eye, check, noise."""
 
     what: (
         Annotated[BoardConfig, tyro.conf.subcommand("board")]
         | Annotated[IntrinsicsConfig, tyro.conf.subcommand("intrinsics")]
         | Annotated[HandEyeConfig, tyro.conf.subcommand("hand-eye")]
         | Annotated[CheckConfig, tyro.conf.subcommand("check")]
+        | Annotated[NoiseConfig, tyro.conf.subcommand("noise")]
     )
     """What to do."""
 
 
 def calibrate(config: CalibrateConfig) -> int:
-    """Run one of the four.
+    """Run one of the five.
 
     Returns:
         0, or 3 where a check finds the calibration worse than the rig's limits.
@@ -43,6 +52,11 @@ def calibrate(config: CalibrateConfig) -> int:
         write_board(what.board, what.out, what.dpi)
         say(f"{what.out}: print at 100 %, glue it flat, measure the squares and give --board.square if they differ.")
         return 0
+    if isinstance(what, NoiseConfig):
+        check_noise(what)
+        from resync_robot.noise_run import measure_noise
+
+        return measure_noise(what)
     check_look(what)
     from resync_robot import calibration_run
 

@@ -88,6 +88,39 @@ class CheckConfig(LookConfig):
     """No board: draw the simulated scene over the picture of every camera, as PNG and for Rerun."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class NoiseConfig:
+    """Measure how noisy a camera is, over an empty table, so that simulation imitates it."""
+
+    backend: Literal["sim", "ur7e"] = "sim"
+    """The robot and cameras to use."""
+
+    camera: str = "wrist"
+    """Which camera of the rig."""
+
+    rig: Path | None = None
+    """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
+
+    frames: int = 12
+    """Pictures at each place; the camera and the scene stand still."""
+
+    write: Path | None = None
+    """Write the noise found into this rig file. Default: only report."""
+
+    seed: int = 0
+    """Of the simulated machine."""
+
+
+def check_noise(config: NoiseConfig) -> None:
+    """Refuse before anything is loaded or moved. Raises ConfigError."""
+    if config.backend != "sim":
+        raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
+    if not 5 <= config.frames <= 100:
+        raise ConfigError(f"--frames is {config.frames}; allowed: 5 to 100, 12 is good")
+    if config.seed < 0:
+        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
+
+
 def check_look(config: LookConfig) -> None:
     """Refuse before anything is loaded or moved. Raises ConfigError."""
     if config.backend != "sim":

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from hardware.base import ProtectiveStopError
+    from perception.segment import Segmenter
     from resync_robot.backends import Devices
     from resync_robot.core.episode import Episode
     from resync_robot.core.library import Library
@@ -54,6 +55,9 @@ class DeployConfig:
     skills: Literal["auto", "camera", "state"] = "auto"
     """What the learned skills see while they run: pictures and joints, or the simulator's state of the objects. auto:
     pictures, where the library holds a camera policy."""
+
+    segmenter: Literal["colour", "sam3"] = "colour"
+    """What finds the blocks in pictures: their hues, or SAM 3 by the prompts of the rig file."""
 
     dry_run: bool = False
     """Look, ground and plan, and print the plan, but move no skill."""
@@ -101,6 +105,7 @@ def deploy(config: DeployConfig) -> int:
         if config.skills == "camera":
             raise ConfigError("--skills camera needs cameras", "leave out --perception oracle")
         by_camera = False
+    segmenter = _segmenter(config, rig)
     model = learned_model(domain, rig, library, camera_recovery(domain, rig, library) if by_camera else None)
     recording = _recording(config)
     if recording is None:
@@ -140,7 +145,7 @@ def deploy(config: DeployConfig) -> int:
     succeeded = 0
     for i, task in enumerate(tasks):
         path = folder / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
-        result, reached = _episode(config, rig, library, model, task, i, path, recording)
+        result, reached = _episode(config, rig, library, model, task, i, path, recording, segmenter)
         if result.end is End.NO_PLAN and not result.transitions:
             raise PlanningError(result.reason, 'give another --goal, such as --goal "On(b1,b0)"')
         succeeded += reached
@@ -161,6 +166,16 @@ def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:
 
     records = {camera.name: camera.calibration for camera in rig.cameras}
     return complaints(records, rig.calibration_limits, date.today(), expected=config.backend != "sim")
+
+
+def _segmenter(config: DeployConfig, rig: Rig) -> Segmenter | None:
+    """The one asked for, None for that by colour. Raises PerceptionError where it cannot be had."""
+    if config.segmenter == "colour":
+        return None
+    from perception.objects import catalogue_of
+    from perception.sam3 import sam3_segmenter
+
+    return sam3_segmenter(rig.sam3, catalogue_of(rig))
 
 
 def _check_rig(config: DeployConfig, rig: Rig) -> None:
@@ -219,6 +234,7 @@ def _episode(
     index: int,
     path: Path,
     recording: Episode | None,
+    segmenter: Segmenter | None,
 ) -> tuple[Result, bool]:
     from hardware.base import RealtimeRobot, RobotError
     from resync_robot import __version__
@@ -227,6 +243,7 @@ def _episode(
     from resync_robot.core.episode_writer import EpisodeWriter
     from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
+    from resync_robot.doubt import doubting
     from resync_robot.planning.execute import End, Result, plan_f
     from resync_robot.progress import say
     from resync_robot.recorder import Recorder
@@ -268,10 +285,18 @@ def _episode(
                 raise error
             devices.resume()
 
+        model = doubting(model)
         world = kind(
-            devices.robot, devices.cameras, rig, task.objects, devices.truth, recorder.on_scan, on_stop,
-            recorder.on_look, recorder.on_timing,
-        )  # fmt: skip
+            devices.robot,
+            devices.cameras,
+            rig,
+            task.objects,
+            live_state=devices.truth,
+            witness=recorder,
+            on_stop=on_stop,
+            abstraction=model.abstraction,
+            segmenter=segmenter,
+        )
         world.stream.recorders.append(recorder.on_stream)
 
         say(f"Goal: {goal}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -15,25 +16,53 @@ from hardware.base import Camera, ProtectiveStopError, RealtimeRobot, Robot, Win
 from hardware.clearance import Obstacle
 from hardware.stream import Stream
 from hardware.travel import travel
-from perception.belief import Belief, MissingObjectsError
+from perception.belief import Belief
 from perception.cutout import cut_out
+from perception.naming import UnsettledSceneError
+from perception.objects import SceneEstimator
 from perception.scan import Scan
+from perception.segment import Segmenter
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.episode import Timing
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object
+from resync_robot.core.symbols import Atom, Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import CameraFrame, Cutout, Observation, Window
+from resync_robot.doubt import DoubtingAbstraction, objects_in
 
 WRIST = "wrist"
 """The camera that scans."""
 SAFE_TIP = 0.27
 """m; below this the hand is first lifted straight up before it travels to a viewpoint."""
+MORE_LOOKS = 2
+"""How often places in doubt are looked at again."""
+MOST_PLACES = 3
+"""Of one such look."""
+SAME_SIGHT = 0.05
+"""m within which a look at one place shows the other."""
 
-Scanned = Callable[[Sequence[CameraFrame], State], None]
+
+class Witness(Protocol):
+    """Is told of what a deployed robot sees and sends, such as a recording."""
+
+    def on_scan(self, frames: Sequence[CameraFrame], state: State) -> None:
+        """The pictures of a scan, and the estimate from them."""
+        ...
+
+    def on_look(self, part: Cutout) -> None:
+        """A part of a picture that a skill looked at while it moved."""
+        ...
+
+    def on_timing(self, timing: Timing) -> None:
+        """When a target was asked for and sent, and how old the pictures behind it were."""
+        ...
+
+    def on_doubt(self, atoms: Mapping[Atom, float], looks: int) -> None:
+        """Atoms still in doubt after so many looks: the share of pose samples in which each holds."""
+        ...
 
 
 class DeployedWorld:
@@ -43,9 +72,9 @@ class DeployedWorld:
         live_state: where a skill that follows the objects gets their poses from while it runs. A camera-only
             deployment has none, and such a skill then raises PerceptionError. The simulated backend may hand in the
             simulator's state, and says so.
-        on_scan: called with the pictures and the estimate of every scan.
-        on_look: called with every part of a picture that a skill looks at while it moves.
-        on_timing: called with when each target was asked for and sent, and how old the pictures were behind it.
+        witness: told of what is seen and sent.
+        abstraction: says which atoms hang on poses that are not known well; their objects are looked at again.
+        segmenter: finds the blocks in pictures; by colour unless given.
         on_stop: called when the robot has made a protective stop; it asks a person, and returns when the robot may
             go on, or raises. Without it a protective stop ends the episode.
     """
@@ -57,20 +86,21 @@ class DeployedWorld:
         rig: Rig,
         objects: Sequence[Object],
         live_state: Callable[[], State] | None = None,
-        on_scan: Scanned | None = None,
+        witness: Witness | None = None,
         on_stop: Callable[[ProtectiveStopError], None] | None = None,
-        on_look: Callable[[Cutout], None] | None = None,
-        on_timing: Callable[[Timing], None] | None = None,
+        abstraction: DoubtingAbstraction | None = None,
+        segmenter: Segmenter | None = None,
     ) -> None:
-        self._on_stop, self._on_look, self._on_timing = on_stop, on_look, on_timing
+        self._live_state, self._witness, self._on_stop, self._abstraction = live_state, witness, on_stop, abstraction
         self._looked: list[float] = []
         self.robot, self.rig, self._cameras = robot, rig, cameras
         self.stream = Stream(robot, rig)
         self.scan = Scan(rig)
         self._robot_object = next(o for o in objects if o.type == ROBOT)
         self._box = next(o for o in objects if o.type == BOX)
-        self.belief = Belief(self._robot_object, self._box, [o for o in objects if o.type == BLOCK], rig)
-        self._live_state, self._on_scan = live_state, on_scan
+        blocks = [o for o in objects if o.type == BLOCK]
+        estimator = SceneEstimator(rig, segmenter=segmenter)
+        self.belief = Belief(self._robot_object, self._box, blocks, rig, estimator)
         self._held: Object | None = None
         self.scans = 0
         self.missing: tuple[str, ...] = ()
@@ -110,8 +140,8 @@ class DeployedWorld:
         else:
             seen = cut_out(camera.capture(), self.rig.camera(name), window, size)
         self._looked.append(seen.time)
-        if self._on_look:
-            self._on_look(seen)
+        if self._witness:
+            self._witness.on_look(seen)
         return seen
 
     def act(self, target: JointTarget, duration: float) -> None:
@@ -119,8 +149,8 @@ class DeployedWorld:
             self.stream.run(target, duration)
         except ProtectiveStopError as error:
             self._resume(error)
-        if self._on_timing and self.stream.timing is not None:
-            self._on_timing(replace(self.stream.timing, picture=min(self._looked, default=None)))
+        if self._witness and self.stream.timing is not None:
+            self._witness.on_timing(replace(self.stream.timing, picture=min(self._looked, default=None)))
         self._looked.clear()
 
     def _resume(self, error: ProtectiveStopError) -> None:
@@ -146,30 +176,55 @@ class DeployedWorld:
             if before is None and self._held is not None and self.belief.grasp_is_certain:
                 return believed
         try:
-            frames = self._look_around()
+            return self._look_around()
         except ProtectiveStopError as stop:
             with suppress(InterruptedMotionError):
                 self._resume(stop)
-            frames = self._look_around()
+            return self._look_around()
+
+    def _look_around(self) -> State:
+        """A round of pictures, then more of what is in doubt; all of them together make the estimate."""
+        self._lift()
+        capture = self._cameras[WRIST].capture
+        frames = self.scan(self._travel, capture)
+        looks = 1
+        state, error = self._take_in(frames)
+        while looks <= MORE_LOOKS and (again := self._where_to_look(state, error)):
+            frames += self.scan(self._travel, capture, again)
+            looks += 1
+            state, error = self._take_in(frames)
         self.scans += 1
-        features = self._features()
-        try:
-            state = self.belief.update_from_scan(frames, features)
-            self.missing = ()
-        except MissingObjectsError as error:
-            if self.scans == 1:
-                raise
-            # What was seen before and is out of sight now keeps its old place; the plan may still go on.
-            state, self.missing = self.belief.state(features), error.missing
+        if state is None or (error is not None and self.scans == 1):
+            raise error or PerceptionError("nothing is known of the scene", "scan before asking")
+        # What was seen before and is out of sight now keeps its old place; the plan may still go on.
+        self.missing = error.names if error else ()
         self._held = self.belief.held
         self.stream.keep_out(walled(state, self._box))
-        if self._on_scan:
-            self._on_scan(frames, state)
+        if self._witness:
+            self._witness.on_scan(frames, state)
+            if self._abstraction and (doubtful := self._abstraction.doubtful(state)):
+                self._witness.on_doubt(doubtful, looks)
         return state
 
-    def _look_around(self) -> list[CameraFrame]:
-        self._lift()
-        return self.scan(self._travel, self._cameras[WRIST].capture)
+    def _take_in(self, frames: Sequence[CameraFrame]) -> tuple[State | None, UnsettledSceneError | None]:
+        features = self._features()
+        try:
+            return self.belief.update_from_scan(frames, features), None
+        except UnsettledSceneError as error:
+            return self.belief.state(features), error
+
+    def _where_to_look(self, state: State | None, error: UnsettledSceneError | None) -> list[np.ndarray]:
+        """Configurations for another look: at what atoms in doubt speak of, what is seen badly, or what is missing."""
+        places = list(self.belief.unclear_places())
+        if self._abstraction and state is not None:
+            for obj in objects_in(self._abstraction.doubtful(state)):
+                if obj.type == BLOCK and obj != self.belief.held:
+                    places.append(state.get(obj, "x", "y"))
+        if not places:
+            # What nobody has ever seen may be anywhere.
+            return list(self.scan.configurations) if error else []
+        different = [p for i, p in enumerate(places) if all(np.linalg.norm(p - q) > SAME_SIGHT for q in places[:i])]
+        return [q for place in different[:MOST_PLACES] for q in self.scan.towards(place)]
 
     def _features(self) -> np.ndarray:
         measured = self.robot.state()

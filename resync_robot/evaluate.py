@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from resync_robot.core.symbols import Atoms
     from resync_robot.core.task import Domain
     from resync_robot.core.world import World
+    from resync_robot.doubt import DoubtingAbstraction
     from resync_robot.planning.abstract import Abstraction
     from resync_robot.planning.execute import Listener, Result
     from resync_robot.planning.search import Plan
@@ -63,12 +64,18 @@ class EvaluateConfig:
 
     rig: Path | None = None
     """The robot and cameras to simulate, a TOML file. Default: the rig that the simulation assumes."""
+    perception_only: bool = False
+    """Move nothing: only scan random scenes and compare what was seen with what is there."""
+
+    scenes: int = 300
+    """Scenes for each seed, with --perception-only."""
 
     workers: int = 2
     """Simulation processes."""
 
     json: Path | None = None
-    """File for the counts by library and seed, the success rates, every episode, and the provenance."""
+    """File for the counts by library and seed, the success rates, every episode, and the provenance. With
+    --perception-only: for the errors, and a picture of how honest their covariance is beside it."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,8 @@ class Job:
 
 
 def evaluate(config: EvaluateConfig) -> None:
-    """Run every episode of `config`, write the JSON file where one is named, and print the table.
+    """Run every episode of `config`, write the JSON file where one is named, and print the table. With
+    `perception_only`, scan scenes instead.
 
     The file holds three lists and a record, whose names and fields stay as they are:
 
@@ -110,6 +118,14 @@ def evaluate(config: EvaluateConfig) -> None:
     from sim_training.domains import find_domain
     from sim_training.parallel import parallel_map
 
+    if config.perception_only:
+        from resync_robot.evaluate_perception import evaluate_perception
+
+        usual = EvaluateConfig()
+        given = [n for n in ("library", "methods", "scenarios", "rig") if getattr(config, n) != getattr(usual, n)]
+        if given:
+            raise ConfigError(f"--{given[0]} has no meaning with --perception-only", "leave it out")
+        return evaluate_perception(config.scenes, config.seeds, config.workers, config.json)
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     if config.episodes < 1:
@@ -198,31 +214,34 @@ class _Context:
     perception: str
     unseen: bool
     given: Abstraction
-    methods: dict[tuple[int, str], _Method]
+    methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]]
 
 
 def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: str, worlds: str, rig: Rig) -> _Context:
     from resync_robot.baselines.human_sequence import run_human_sequence
     from resync_robot.baselines.recovery_chaining import RecoveryChaining
     from resync_robot.core.library import load_library
+    from resync_robot.doubt import doubting
     from resync_robot.knowledge import camera_recovery, initial_model, learned_model, model_with_recovery
     from resync_robot.planning.execute import plan_f
     from sim_training.domains import find_domain
 
     domain = find_domain(domain_name)
-    initial = initial_model(domain, rig)
-    methods: dict[tuple[int, str], _Method] = {}
+    initial = doubting(initial_model(domain, rig))
+    methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]] = {}
     for i, path in enumerate(paths):
         library = load_library(Path(path))
         # First, for it says what a library lacks.
         recovery = camera_recovery(domain, rig, library) if skills == "camera" else None
-        methods[i, "resync"] = partial(plan_f, model=learned_model(domain, rig, library, recovery))
+        learned = doubting(learned_model(domain, rig, library, recovery))
+        methods[i, "resync"] = learned.abstraction, partial(plan_f, model=learned)
         record = library.skills[domain.recovery]
-        with_skill = model_with_recovery(domain, rig, record, recovery)
+        with_skill = doubting(model_with_recovery(domain, rig, record, recovery))
         reaction = RecoveryChaining(with_skill.skill(domain.recovery), record)
-        methods[i, "rc"] = partial(plan_f, model=with_skill, reaction=reaction)
-        methods[i, "initial"] = partial(plan_f, model=initial)
-        methods[i, "human"] = partial(run_human_sequence, model=with_skill, expert=domain.expert)
+        given = initial.abstraction
+        methods[i, "rc"] = given, partial(plan_f, model=with_skill, reaction=reaction)
+        methods[i, "initial"] = given, partial(plan_f, model=initial)
+        methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
     return _Context(domain, rig, perception, worlds == "unseen", initial.abstraction, methods)
 
 
@@ -247,7 +266,7 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         def on_skill_start(self, skill: GroundSkill) -> None:
             self.skills.append(str(skill))
 
-    method = context.methods[job.library, job.method]
+    abstraction, method = context.methods[job.library, job.method]
     notes = Notes()
     begun = time.monotonic()
     # A scene that does not stand still is not a task; the next one takes its place.
@@ -266,7 +285,9 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         from resync_robot.deployed_world import DeployedWorld
 
         with open_simulated(task, context.rig) as devices:
-            seen = DeployedWorld(devices.robot, devices.cameras, context.rig, task.objects, devices.truth)
+            seen = DeployedWorld(
+                devices.robot, devices.cameras, context.rig, task.objects, devices.truth, abstraction=abstraction
+            )
             try:
                 result = method(seen, goal=task.goal, listener=notes)
                 # What the robot believes at the end does not count; what is true does.

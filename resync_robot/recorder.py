@@ -98,6 +98,13 @@ class Recorder(Listener):
         xyz, rgb = cloud(frames)
         self._writer.points(now, xyz, rgb)
 
+    def on_doubt(self, atoms: Mapping[Atom, float], looks: int) -> None:
+        """What stays in doubt after so many looks: the share of pose samples in which each atom holds."""
+        words = ", ".join(f"{atom} {share:.2f}" for atom, share in sorted(atoms.items()))
+        details = {str(atom): share for atom, share in atoms.items()}
+        self._writer.event(self._clock(), EventKind.DOUBT, f"after {looks} looks: {words}", shares=details)
+        self._tell(f"  in doubt after {looks} looks, and taken for false: {words}")
+
     def on_perceived(self, state: State, atoms: Mapping[Atom, float]) -> None:
         now = self._clock()
         self._writer.state(now, state)

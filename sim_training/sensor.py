@@ -7,7 +7,7 @@ not see those points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -15,35 +15,8 @@ from jaxtyping import Float, UInt8
 
 from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig
+from resync_robot.core.sensor_noise import SensorNoise
 from resync_robot.core.world import CameraFrame
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorSettings:
-    """How bad the camera is. Disparities in pixels of a picture as wide as the rendered one."""
-
-    focal_at_848_px: float = 447.0
-    """Focal length of the depth camera at a width of 848 pixels; it scales with the width."""
-    baseline: float = 0.050
-    """Distance between the two eyes, m."""
-    disparity_sigma_px: float = 0.08
-    disparity_step_px: float = 1 / 32
-    """Quantisation of the matcher."""
-    ripple_px: float = 0.03
-    """Amplitude of the error that repeats with every pixel of disparity."""
-    least_depth_at_848: float = 0.2
-    """m; nearer surfaces have no match. Scales with the width, as the search range is fixed in pixels."""
-    edge_step: float = 0.012
-    """Depth steps above this within one pixel's neighbourhood count as an edge, m."""
-    flying_share: float = 0.35
-    """Share of edge pixels whose depth lies somewhere between the two surfaces."""
-    edge_hole_share: float = 0.25
-    hole_share: float = 0.004
-    """Share of the picture in random small holes."""
-    exposure_sigma: float = 0.06
-    white_balance_sigma: float = 0.015
-    colour_sigma: float = 2.5
-    """Noise of a colour value, of 255."""
 
 
 class NoisySensor:
@@ -55,13 +28,13 @@ class NoisySensor:
     Args:
         seed: same seed, same frames, same result.
         camera_rig: gives the sigmas of the pose error, a normal error of each of the three axes.
-        settings: how bad the camera is.
+        settings: how bad the camera is; by default as the rig says.
     """
 
-    def __init__(self, seed: int, camera_rig: CameraRig, settings: SensorSettings | None = None) -> None:
+    def __init__(self, seed: int, camera_rig: CameraRig, settings: SensorNoise | None = None) -> None:
         self._rng = np.random.default_rng(seed)
         self._rig = camera_rig
-        self.settings = settings or SensorSettings()
+        self.settings = settings or camera_rig.noise
         self._fixed_error = None if camera_rig.mount == "flange" else self._draw_pose_error()
 
     def apply(self, frame: CameraFrame) -> CameraFrame:

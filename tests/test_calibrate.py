@@ -78,6 +78,9 @@ def stored(folder: Path, rig: Rig, true_flange_T_cam: np.ndarray, count: int = 1
         (("hand-eye", "--board-at", "5", "0"), "out of reach"),
         (("hand-eye", "--rig", "absent.toml"), "absent.toml"),
         (("hand-eye", "--views", "nowhere"), "no pictures in nowhere"),
+        (("noise", "--frames", "2"), "--frames is 2"),
+        (("noise", "--camera", "back"), "front, side, wrist"),
+        (("noise", "--backend", "ur7e"), "use --backend sim"),
         (("hand-eye", "--write", "/dev/null/rig.toml"), "cannot write /dev/null/rig.toml"),
         (("hand-eye", "--out", "/dev/null/run"), "cannot write /dev/null/run"),
         (("check", "--camera", "back"), "front, side, wrist"),
@@ -203,3 +206,18 @@ def test_the_simulation_is_drawn_over_the_picture(
     for name, pose in {c.name: c.pose for c in displaced(load_rig(), 0).cameras}.items():
         update_rig(Path("rig.toml") if Path("rig.toml").exists() else None, Path("rig.toml"), name, {"pose": pose})
     assert run("check", "--live", "--rig", "rig.toml") == 0, "with the cameras where they are it fits"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("camera", ["wrist", "front"])
+def test_the_noise_of_the_simulated_camera_is_measured_and_written(
+    renderer: None, camera: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("noise", "--camera", camera, "--write", "rig.toml") == 0
+    found, true = load_rig(Path("rig.toml")).camera(camera).noise, load_rig().camera(camera).noise
+    assert found != true
+    assert found.disparity_sigma_px == pytest.approx(true.disparity_sigma_px, rel=0.1)
+    assert found.ripple_px == pytest.approx(true.ripple_px, abs=0.01)
+    assert found.hole_share == pytest.approx(true.hole_share, rel=0.5)
+    assert found.colour_sigma == pytest.approx(true.colour_sigma, rel=0.2)

@@ -1,24 +1,50 @@
-"""What a skill may look at while it moves: parts of pictures, of whichever camera gives them."""
+"""What a skill may look at while it moves, and where the robot looks again before it acts."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
 from hardware.sim import SimRobot
+from perception.catalogue import Catalogue
+from perception.naming import MissingObjectsError
+from perception.scan import Scan
+from resync_robot import deployed_world
 from resync_robot.core import spatial
 from resync_robot.core.episode import Timing
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import load_rig
-from resync_robot.core.vocabulary import BOX
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atom, Object, Predicate
+from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.core.world import CameraFrame, Cutout, Window
-from resync_robot.deployed_world import OracleWorld, walled
+from resync_robot.deployed_world import MORE_LOOKS, DeployedWorld, OracleWorld, walled
+from resync_robot.doubt import DoubtingAbstraction
+from resync_robot.planning.abstract import Abstraction
 from sim_training.world import SimWorld
 from tests import scenes
+from tests.perception.raycast import FLOOR, Table
 
 RIG = load_rig()
+
+
+def _silent(*args: object) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Told:
+    """A witness that passes some of it on."""
+
+    on_scan: Callable[..., None] = _silent
+    on_look: Callable[..., None] = _silent
+    on_timing: Callable[..., None] = _silent
+    on_doubt: Callable[..., None] = _silent
+
+
 WINDOW = Window(10.0, 20.0, 32.0, 32.0)
 
 
@@ -94,7 +120,7 @@ def test_a_box_is_kept_free_of_all_but_the_hand() -> None:
 
 def test_every_target_says_how_old_the_pictures_behind_it_are(world: OracleWorld) -> None:
     timings: list[Timing] = []
-    world._on_timing = timings.append
+    world._witness = Told(on_timing=timings.append)
     look = world.observe().look
     assert look is not None
     look("side", WINDOW, 16)
@@ -104,3 +130,87 @@ def test_every_target_says_how_old_the_pictures_behind_it_are(world: OracleWorld
     assert [t.picture for t in timings] == [1.25, None]
     assert timings[0].asked <= timings[0].due < timings[1].due
     assert all(0 < t.computed < 1 for t in timings)
+
+
+STRIPED = Predicate("Striped", (BLOCK,))
+ROUND = len(Scan(RIG).configurations)
+
+
+class Eye(Whole):
+    """A wrist camera that sees a drawn table from wherever the arm was sent."""
+
+    def __init__(self, table: Table) -> None:
+        super().__init__("wrist")
+        self.table, self.at = table, [RIG.arm.home]
+
+    def capture(self) -> CameraFrame:
+        self.asked.append("picture")
+        return self.table.picture(self.at[-1])
+
+
+@dataclass
+class Looking:
+    """A deployment that looks at a drawn table with one block at x = 0.45."""
+
+    world: DeployedWorld
+    eye: Eye
+    doubts: list[tuple[dict[str, float], int]]
+
+
+def looking(monkeypatch: pytest.MonkeyPatch, stripe: float = 1.0, blocks: tuple[str, ...] = ("b0",)) -> Looking:
+    """With a predicate that is true of blocks in every other stripe of the table, so wide in m."""
+    table = Table(RIG, Catalogue())
+    table.block("b0", 0.45, 0.05, FLOOR, 0.2, 0.060, 0.045)
+    eye, doubts = Eye(table), []
+    monkeypatch.setattr(deployed_world, "travel", lambda stream, q: eye.at.append(q))
+
+    def striped(state: State, objects: tuple[Object, ...]) -> float:
+        return float(state.get(objects[0], "x")[0] // stripe % 2)
+
+    def on_doubt(atoms: Mapping[Atom, float], looks: int) -> None:
+        doubts.append(({str(a): p for a, p in atoms.items()}, looks))
+
+    simulated = SimWorld(scenes.scene({name: (0.0, 0.1 * i) for i, name in enumerate(blocks)}), RIG)
+    robot = SimRobot(simulated)
+    robot.connect()
+    abstraction = DoubtingAbstraction(Abstraction((STRIPED,), {"Striped": striped}))
+    world = DeployedWorld(
+        robot, {"wrist": eye}, RIG, simulated.task.objects, witness=Told(on_doubt=on_doubt), abstraction=abstraction
+    )
+    return Looking(world, eye, doubts)
+
+
+def test_what_is_certain_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    certain = looking(monkeypatch)
+    certain.world.perceive()
+    assert len(certain.eye.asked) == ROUND and not certain.doubts
+
+
+def test_an_atom_in_doubt_is_looked_at_again_and_then_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    unsure = looking(monkeypatch, 0.0003)
+    state = unsure.world.perceive()
+    assert len(unsure.eye.asked) == ROUND + 2 * MORE_LOOKS
+    ((shares, looks),) = unsure.doubts
+    assert looks == 1 + MORE_LOOKS and 0.1 < shares["Striped(b0)"] < 0.9
+    # More pictures, less doubt about the place.
+    before, after = (s.covariance(scenes.B0)[0, 0] for s in (looking(monkeypatch).world.perceive(), state))
+    assert after < before
+
+
+@pytest.mark.slow
+def test_a_block_that_nobody_ever_saw_is_looked_for_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    missing = looking(monkeypatch, blocks=("b0", "b1"))
+    with pytest.raises(MissingObjectsError, match="did not find b1"):
+        missing.world.perceive()
+    assert len(missing.eye.asked) == ROUND * (1 + MORE_LOOKS)
+
+
+@pytest.mark.slow
+def test_one_that_was_seen_before_is_looked_for_where_it_stood(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = looking(monkeypatch)
+    before = world.world.perceive()
+    world.eye.table, world.eye.asked = Table(RIG, Catalogue()), []
+    after = world.world.perceive()
+    assert len(world.eye.asked) == ROUND + 2 * MORE_LOOKS
+    assert world.world.missing == ("b0",)
+    assert np.array_equal(after[scenes.B0], before[scenes.B0]), "it keeps its old place"

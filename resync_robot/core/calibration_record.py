@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import date
 from typing import Any
 
-import numpy as np
-
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.tables import check_names, check_number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +52,7 @@ def read_record(table: Any, where: str) -> CalibrationRecord:
     Raises:
         ConfigError: a missing, extra or mistyped field.
     """
-    _check_names(table, CalibrationRecord, where, whole=True)
+    check_names(table, CalibrationRecord, where, whole=True)
     for name in ("calibrated", "checked"):
         try:
             date.fromisoformat(table[name])
@@ -65,15 +64,15 @@ def read_record(table: Any, where: str) -> CalibrationRecord:
         if isinstance(table[name], bool) or not isinstance(table[name], int) or table[name] < 0:
             raise ConfigError(f"{where}: {name} must be a whole number from 0 on, not {table[name]!r}")
     for name in ("held_out_mm", "held_out_deg", "held_out_px"):
-        _check_number(table[name], f"{where}: {name}")
+        check_number(table[name], f"{where}: {name}")
     return CalibrationRecord(**table)
 
 
 def read_limits(table: Any, where: str) -> CalibrationLimits:
     """The limits of a `[calibration_limits]` table. Raises ConfigError on an extra or mistyped field."""
-    _check_names(table, CalibrationLimits, where, whole=False)
+    check_names(table, CalibrationLimits, where, whole=False)
     for name, value in table.items():
-        _check_number(value, f"{where}: {name}")
+        check_number(value, f"{where}: {name}")
     return CalibrationLimits(**table)
 
 
@@ -108,19 +107,3 @@ def complaints(
             if value > limit:
                 found.append(f"camera '{name}' was {value:.2f} {unit} off on views held out; allowed: {limit:g} {unit}")
     return found
-
-
-def _check_names(table: Any, kind: type, where: str, whole: bool) -> None:
-    if not isinstance(table, Mapping):
-        raise ConfigError(f"{where} must be a table, not {table!r}")
-    known = [f.name for f in fields(kind)]
-    extra = sorted(set(table) - set(known))
-    missing = sorted(set(known) - set(table)) if whole else []
-    if extra or missing:
-        parts = [f"{what} {', '.join(names)}" for what, names in (("unknown", extra), ("no", missing)) if names]
-        raise ConfigError(f"{where} has {' and '.join(parts)}", f"its fields are {', '.join(known)}")
-
-
-def _check_number(value: Any, where: str) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value) or value < 0:
-        raise ConfigError(f"{where} must be a number from 0 on, not {value!r}")

@@ -65,6 +65,8 @@ class EventKind(Enum):
     """What may happen in an episode."""
 
     SCAN = "scan"
+    DOUBT = "doubt"
+    """Atoms that further looks did not decide, with the share of pose samples in which each holds."""
     SKILL_START = "skill start"
     SKILL_END = "skill end"
     REPLAN = "replan"

@@ -6,7 +6,7 @@ import hashlib
 import ipaddress
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
@@ -18,6 +18,8 @@ from jaxtyping import Float
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.calibration_record import CalibrationLimits, CalibrationRecord, read_limits, read_record
 from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.core.sensor_noise import SensorNoise, read_noise
+from resync_robot.core.tables import check_number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +56,7 @@ class GripperRig:
 class CameraRig:
     """Attributes: `pose` (4, 4) of the camera in its mount ('flange' or 'world'), OpenCV axes; pixels; sigmas.
 
-    `calibration` is None where the pose is a design value.
+    `calibration` is None where the pose is a design value. `noise` is how bad the camera is, which simulation imitates.
     """
 
     name: str
@@ -70,6 +72,7 @@ class CameraRig:
     position_sigma: float
     rotation_sigma: float
     calibration: CalibrationRecord | None = None
+    noise: SensorNoise = SensorNoise()
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -110,8 +113,20 @@ class ControllerRig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Sam3Rig:
+    """The `[sam3]` table: where its weights and vocabulary lie, and what to ask for, by the name of a block."""
+
+    checkpoint: Path
+    vocabulary: Path
+    prompts: Mapping[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Rig:
-    """Everything above, read from one TOML file; `hash` names that content in libraries and recordings."""
+    """Everything above, read from one TOML file; `hash` names that content in libraries and recordings.
+
+    `hues`: colours of the lab's own blocks by name, in [0, 1); empty where they are those of the catalogue.
+    """
 
     name: str
     provenance: str
@@ -121,6 +136,8 @@ class Rig:
     hash: str
     calibration_limits: CalibrationLimits = CalibrationLimits()
     controller: ControllerRig | None = None
+    hues: Mapping[str, float] = field(default_factory=dict)
+    sam3: Sam3Rig | None = None
 
     def tip_pose(self, q: Float[np.ndarray, "*b 6"]) -> Float[np.ndarray, "*b 4 4"]:
         """world_T_tip at (..., 6) joint positions in rad."""
@@ -185,7 +202,7 @@ _CONTROLLER = (
     "full_speed",
     "emulated",
 )
-_TEXT = ("address", "model", "name", "mount", "serial", "provenance")
+_TEXT = ("address", "checkpoint", "vocabulary", "model", "name", "mount", "serial", "provenance")
 
 
 # What the UR7e's data sheet and the driver allow: kg, s, s, Hz, N.
@@ -235,13 +252,31 @@ def load_rig(path: Path | None = None) -> Rig:
         return {name: _field(table[name], name, f"{where}: [{title}] {name}") for name in fields}
 
     def camera(table: Any, title: str) -> CameraRig:
-        record = None
-        if isinstance(table, Mapping) and "calibration" in table:
-            record = read_record(table["calibration"], f"{where}: [{title}.calibration]")
-            table = {k: v for k, v in table.items() if k != "calibration"}
-        return CameraRig(**section(table, _CAMERA, title), calibration=record)
+        record, noise = None, SensorNoise()
+        if isinstance(table, Mapping):
+            if "calibration" in table:
+                record = read_record(table["calibration"], f"{where}: [{title}.calibration]")
+            noise = read_noise(table.get("noise", {}), f"{where}: [{title}.noise]")
+            table = {k: v for k, v in table.items() if k not in ("calibration", "noise")}
+        return CameraRig(**section(table, _CAMERA, title), calibration=record, noise=noise)
 
-    tables = ("arm", "gripper", "cameras", "calibration_limits", "controller")
+    def sam3(table: Any) -> Sam3Rig:
+        prompts = table.get("prompts") if isinstance(table, Mapping) else None
+        if not isinstance(prompts, Mapping) or not prompts or not all(isinstance(p, str) for p in prompts.values()):
+            raise ConfigError(f"{where}: [sam3.prompts] must name what to ask for", 'write it as: b0 = "red block"')
+        paths = section({k: v for k, v in table.items() if k != "prompts"}, ("checkpoint", "vocabulary"), "sam3")
+        return Sam3Rig(prompts=dict(prompts), **{name: Path(value) for name, value in paths.items()})
+
+    def hues(table: Any) -> Mapping[str, float]:
+        if not isinstance(table, Mapping):
+            raise ConfigError(f"{where}: [hues] must be a table, not {table!r}", "write it as: b0 = 0.0")
+        for name, value in table.items():
+            check_number(value, f"{where}: [hues] {name}")
+            if value >= 1:
+                raise ConfigError(f"{where}: [hues] {name} is {value:g}", "a hue is from 0 up to, not including, 1")
+        return {name: float(value) for name, value in table.items()}
+
+    tables = ("arm", "gripper", "cameras", "calibration_limits", "controller", "hues", "sam3")
     top = section({k: v for k, v in data.items() if k not in tables}, ("name", "provenance"), "")
     cameras = data.get("cameras")
     if not isinstance(cameras, list) or not cameras:
@@ -257,6 +292,8 @@ def load_rig(path: Path | None = None) -> Rig:
         controller=(
             ControllerRig(**section(data["controller"], _CONTROLLER, "controller")) if "controller" in data else None
         ),
+        hues=hues(data.get("hues", {})),
+        sam3=sam3(data["sam3"]) if "sam3" in data else None,
     )
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.hand_eye import Calibrator
-from calibration.judge import board_by, held_out, judge
+from calibration.hand_eye import Calibrator, Noise
+from calibration.judge import HeldOutErrors, board_by, held_out, judge
 from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 from tests.calibration import synthetic
@@ -60,3 +60,27 @@ def test_views_that_are_too_few_to_hold_any_out_are_refused() -> None:
     views = synthetic.draw_views(rng, setup, 8)
     with pytest.raises(CalibrationError, match="no honest judgement"):
         held_out(calibrator(), views, calibrator().solve(views))
+
+
+@pytest.mark.parametrize("arm_moves_board", [False, True])
+def test_what_noise_does_to_a_view_is_foretold(arm_moves_board: bool) -> None:
+    rng = np.random.default_rng(3)
+    noise = Noise()
+    setup = synthetic.draw_setup(rng, arm_moves_board, arm_rotation=noise.arm_rotation)
+    one = Calibrator(SPEC, INTRINSICS, arm_moves_board, noise)
+    pose = setup.mount_T_cam @ synthetic.draw_pose(rng) @ spatial.inverse(setup.other_T_board)
+    flange = pose if arm_moves_board else spatial.inverse(pose)
+    errors = judge(one, synthetic.views_from(rng, setup, [flange] * 300), setup.mount_T_cam, setup.other_T_board)
+    view = synthetic.views_from(rng, setup, [flange])[0]
+    variance = np.diag(one.location_covariance(view, setup.mount_T_cam, setup.other_T_board))
+    assert errors.rms[0] == pytest.approx(1000 * np.sqrt(variance[3:].sum()), rel=0.12)
+    assert errors.rms[1] == pytest.approx(np.degrees(np.sqrt(variance[:3].sum())), rel=0.12)
+
+
+def test_errors_that_noise_does_not_describe_are_reported_as_they_are() -> None:
+    mm, deg, px = np.full(20, 2.0), np.full(20, 0.1), np.full(20, 0.3)
+    expected = np.tile([0.5, 0.1], (20, 1))
+    odd = HeldOutErrors(mm, deg, px, np.full(20, 1.2), expected)
+    assert odd.rms == pytest.approx((2.0, 0.12, 0.3))
+    usual = HeldOutErrors(mm / 4 * 1.3, deg, px, np.full(20, 1.2), expected)
+    assert usual.rms == pytest.approx((0.6, 0.12, 0.3))

@@ -17,6 +17,7 @@ from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationRecord
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.rig import load_rig
+from resync_robot.core.sensor_noise import SensorNoise
 from tests.calibration.synthetic import jolt
 
 BUILT_IN = files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
@@ -60,6 +61,20 @@ def test_a_second_calibration_takes_the_place_of_the_first(tmp_path: Path) -> No
     assert load_rig(path).camera("side").fx == 310.25
     assert load_rig(path).camera("wrist").calibration == later
     assert sorted(p.name for p in tmp_path.iterdir()) == ["rig.toml", "rig.toml.bak"]
+
+
+def test_noise_and_calibration_live_beside_each_other(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    noise = SensorNoise(disparity_sigma_px=0.11, hole_share=0.02)
+    update_rig(None, path, "front", {}, noise=noise)
+    update_rig(path, path, "front", {"pose": np.eye(4)}, RECORD)
+    update_rig(path, path, "front", {}, noise=replace(noise, ripple_px=0.05))
+    update_rig(path, path, "wrist", {}, RECORD)
+    found = load_rig(path).camera("front")
+    assert found.calibration == RECORD
+    assert found.noise == replace(noise, ripple_px=0.05)
+    assert path.read_text().count("[cameras.noise]") == 1
+    assert load_rig(path).camera("side").noise == SensorNoise()
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from resync_robot.core import spatial
 from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.core.rig import load_rig
+from resync_robot.core.sensor_noise import SensorNoise
 from tests.emulators import RIG_FILE
 
 BUILT_IN = files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
@@ -106,6 +107,59 @@ def test_a_missing_section_is_named(section: str, tmp_path: Path) -> None:
         kept += f"[{part}]{body}" if part != section else ""
     kept += "" if section == "cameras" else BUILT_IN[BUILT_IN.index("[[cameras]]") :]
     assert section in refused(kept, tmp_path)
+
+
+def test_noise_and_hues_are_read_where_they_are_given(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(f"{BUILT_IN}[cameras.noise]\ndisparity_sigma_px = 0.12\n[hues]\nb0 = 0.05\nb9 = 0.7\n")
+    rig = load_rig(path)
+    assert rig.camera("side").noise == SensorNoise(disparity_sigma_px=0.12)
+    assert rig.camera("wrist").noise == SensorNoise()
+    assert rig.hues == {"b0": 0.05, "b9": 0.7}
+    assert load_rig().hues == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[cameras.noise]\nsharpness = 1.0", "unknown sharpness"),
+        ("[cameras.noise]\nripple_px = true", "ripple_px must be a number"),
+        ("[cameras.noise]\nhole_share = 1.5", "hole_share is 1.5; a share is at most 1"),
+        ("[cameras.noise]\nbaseline = 0.0", "baseline must be more than 0"),
+        ("[cameras.noise]\nflying_share = 0.8", "together at most 1"),
+        ("[hues]\nb0 = 1.0", "a hue is from 0 up to"),
+        ('[hues]\nb0 = "red"', "b0 must be a number"),
+        ('[sam3]\ncheckpoint = "a"\nvocabulary = "b"', "[sam3.prompts] must name what to ask for"),
+        ('[sam3]\ncheckpoint = 1\nvocabulary = "b"\nprompts = { b0 = "red block" }', "checkpoint must be text"),
+        ('[sam3]\nvocabulary = "b"\nprompts = { b0 = "red block" }', "no field checkpoint"),
+        ("[[hues]]\nb0 = 0.1", "[hues] must be a table"),
+    ],
+)
+def test_bad_noise_and_hues_are_refused(text: str, expected: str, tmp_path: Path) -> None:
+    assert expected in refused(BUILT_IN + text, tmp_path)
+
+
+SCRAPS = ("[", "]", "=", '"', "nan", "-1", "1e999", "[cameras.noise]", "[hues]", "\n", "true", "{}", "#", "\x00", "ü")
+
+
+@pytest.mark.slow
+def test_ten_thousand_broken_files_are_refused_or_read(tmp_path: Path) -> None:
+    """Cut, doubled, reversed or overwritten anywhere: an error of this program's own, or a rig, and nothing else."""
+    rng, path, read = np.random.default_rng(0), tmp_path / "rig.toml", 0
+    for _ in range(10_000):
+        text = BUILT_IN
+        for _ in range(int(rng.integers(1, 4))):
+            a = int(rng.integers(0, len(text)))
+            b = a + int(rng.integers(1, 200))
+            part = text[a:b]
+            text = text[:a] + ("", part * 2, rng.choice(SCRAPS), part[::-1])[rng.integers(4)] + text[b:]
+        path.write_text(text)
+        try:
+            load_rig(path)
+            read += 1
+        except ConfigError:
+            pass
+    assert 0 < read < 8000
 
 
 def test_what_is_no_toml_or_not_there_is_refused(tmp_path: Path) -> None:

@@ -3,9 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from perception.belief import Belief, MissingObjectsError
+from perception.belief import Belief
+from perception.blocks import BlockEstimate, Glimpse
+from perception.naming import MissingObjectsError
 from perception.objects import SceneEstimate
-from perception.pose import BlockEstimate, BoxEstimate, Glimpse, upright_covariance
+from perception.pose import BoxEstimate, upright_covariance
 from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
@@ -171,7 +173,7 @@ def test_a_block_that_nothing_hides_is_missing(belief: Belief, cover: BlockEstim
     belief.update(scene(block("b0", 0.45, 0.05), block("b1", 0.45, 0.30, 0.0)), robot())
     with pytest.raises(MissingObjectsError, match="did not find b0") as error:
         belief.update(scene(cover), robot())
-    assert error.value.missing == ("b0",)
+    assert error.value.names == ("b0",)
     assert error.value.seen == ("b1",)
     assert belief.state(robot()).get(B0, "x", "y") == pytest.approx([0.45, 0.05])
 

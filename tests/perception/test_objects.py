@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from perception.catalogue import Catalogue
-from perception.objects import SceneEstimate, SceneEstimator
+from perception.objects import SceneEstimate, SceneEstimator, catalogue_of
 from perception.scan import Scan
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import PerceptionError
@@ -154,3 +154,52 @@ def test_noise_instead_of_pictures_crashes_nothing(rig: Rig, frames: list[Camera
     ]
     with pytest.raises(PerceptionError):
         SceneEstimator(rig).estimate(noise)
+
+
+def test_a_lab_with_blocks_of_its_own_colours(rig: Rig) -> None:
+    own = replace(rig, hues={"b0": 0.80, "b1": 0.45})
+    table = Table(own, catalogue_of(own))
+    table.block("b0", 0.45, 0.05, FLOOR, 0.2, 0.060, 0.045)
+    frames = table.scan()
+    assert set(SceneEstimator(own).estimate(frames).blocks) == {"b0"}
+    assert not SceneEstimator(rig).estimate(frames).blocks
+
+
+@pytest.mark.slow
+def test_ten_thousand_spoilt_pictures_crash_nothing(rig: Rig, catalogue: Catalogue) -> None:
+    """Small pictures, parts of which were lost, doubled, shifted or overwritten: an estimate or an error of our own."""
+    small = replace(
+        rig,
+        cameras=tuple(
+            replace(c, width=106, height=60, fx=c.fx / 4, fy=c.fy / 4, cx=c.cx / 4, cy=c.cy / 4) for c in rig.cameras
+        ),
+    )
+    table = Table(small, catalogue)
+    table.block("b0", 0.45, 0.05, FLOOR, 0.3, 0.060, 0.045)
+    table.block("b1", 0.55, -0.08, FLOOR, 0.1, 0.060, 0.045)
+    good, estimator, rng, refused = table.scan(), SceneEstimator(small), np.random.default_rng(0), 0
+    for _ in range(10_000):
+        frame = good[int(rng.integers(len(good)))]
+        colour, depth, pose = frame.colour.copy(), frame.depth.copy(), frame.world_T_cam.copy()
+        for _ in range(int(rng.integers(1, 4))):
+            a, b = sorted(rng.integers(0, 61, 2))
+            c, d = sorted(rng.integers(0, 107, 2))
+            kind = rng.integers(6)
+            if kind == 0:
+                depth[a:b, c:d] = rng.choice([0, 1, 500, 65535])
+            elif kind == 1:
+                depth[a:b, c:d] = rng.integers(0, 65536, (b - a, d - c))
+            elif kind == 2:
+                colour[a:b, c:d] = rng.integers(0, 256, 3)
+            elif kind == 3:
+                depth = np.roll(depth, int(rng.integers(-30, 30)), axis=int(rng.integers(2)))
+            elif kind == 4:
+                pose[:3, 3] += rng.normal(0, 0.05, 3)
+            else:
+                depth = (depth * rng.uniform(0.1, 3.0)).clip(0, 65535).astype(np.uint16)
+        try:
+            found = estimator.estimate([replace(frame, colour=colour, depth=depth, world_T_cam=pose)])
+            assert all(np.isfinite(e.features).all() for e in found.blocks.values())
+        except PerceptionError:
+            refused += 1
+    assert 0 < refused < 10_000

@@ -71,3 +71,26 @@ def test_bad_viewpoints_are_refused(rig: Rig) -> None:
         Scan(rig, [Viewpoint((1.4, 0.0), 0.3, 0.0)])
     with pytest.raises(PerceptionError, match="mounted on the world"):
         Scan(rig, camera="front")
+
+
+@pytest.mark.parametrize("place", [(0.34, 0.14), (0.60, -0.13), (0.48, 0.0), (0.45, 0.27), (0.45, -0.27)])
+def test_a_second_look_has_the_place_in_the_middle_of_the_picture(rig: Rig, place: tuple[float, float]) -> None:
+    camera = rig.camera("wrist")
+    configurations = Scan(rig).towards(np.array(place))
+    assert len(configurations) == 2
+    directions = []
+    for q in configurations:
+        flange = rig.arm.world_T_base @ kinematics.forward(q)
+        assert (flange @ rig.gripper.flange_T_tip)[2, 3] >= LEAST_TIP_HEIGHT
+        pose = flange @ camera.pose
+        local = spatial.apply(spatial.inverse(pose), np.array([[*place, 0.0]]))[0]
+        u, v = camera.fx * local[0] / local[2] + camera.cx, camera.fy * local[1] / local[2] + camera.cy
+        assert abs(u - camera.cx) < 5 and abs(v - camera.cy) < 5
+        directions.append(pose[:2, 3] - place)
+    # From two sides, or a common error of the views would stay.
+    a, b = (d / np.linalg.norm(d) for d in directions)
+    assert a @ b < 0.8
+
+
+def test_a_place_out_of_reach_is_not_looked_at(rig: Rig) -> None:
+    assert Scan(rig).towards(np.array([1.6, 0.0])) == []

@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 
 from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig, load_rig
+from resync_robot.core.sensor_noise import SensorNoise
 from resync_robot.core.world import CameraFrame
-from sim_training.sensor import NoisySensor, SensorSettings
+from sim_training.sensor import NoisySensor
 
 UNIT = CameraFrame.DEPTH_UNIT_M
 WRIST = load_rig().camera("wrist")
 FOCAL_BASELINE = 447.0 * WRIST.width / 848 * 0.050
-ONLY_NOISE = SensorSettings(ripple_px=0.0, disparity_step_px=1e-6, hole_share=0.0)
+ONLY_NOISE = SensorNoise(ripple_px=0.0, disparity_step_px=1e-6, hole_share=0.0)
 
 
 def plane(z: float) -> CameraFrame:
@@ -66,12 +67,12 @@ def test_edges_have_flying_pixels_holes_and_a_shadow_on_their_left() -> None:
 
 
 def test_holes_are_as_frequent_as_asked() -> None:
-    depth = NoisySensor(1, WRIST, SensorSettings(hole_share=0.05)).apply(plane(0.5)).depth
+    depth = NoisySensor(1, WRIST, SensorNoise(hole_share=0.05)).apply(plane(0.5)).depth
     assert np.mean(depth[:, 60:] == 0) == pytest.approx(0.05, abs=0.01)
 
 
 def test_ripple_repeats_with_the_disparity() -> None:
-    sensor = NoisySensor(1, WRIST, SensorSettings(disparity_sigma_px=0.0, hole_share=0.0, disparity_step_px=1e-6))
+    sensor = NoisySensor(1, WRIST, SensorNoise(disparity_sigma_px=0.0, hole_share=0.0, disparity_step_px=1e-6))
 
     def error(disparity: float) -> float:
         z = FOCAL_BASELINE / disparity

@@ -1,0 +1,291 @@
+"""From labelled views to the blocks: which patches of a colour are one block, where each stands, and how sure that is.
+
+Blocks of one colour cannot be told apart by what they look like. A scan counts them, and hands out their names in the
+order of x; whoever remembers where they stood (`belief`) puts the names right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from perception.catalogue import Catalogue
+from perception.outline import Rectangle, fit_rectangle, grid, outward_of_face, rough_rectangle, vote
+from perception.pose import (
+    HEIGHT_SIGMA,
+    BoxEstimate,
+    ViewSigma,
+    fitted_covariance,
+    inside_box,
+    peak_height,
+    upright_covariance,
+)
+from perception.views import View, gather
+from resync_robot.core import spatial
+
+BLOCK_SIGMA = ViewSigma(place=0.00118, yaw=0.0078)
+SIZE_SIGMA = 0.0006
+BESIDE = 1.3
+"""Distance of two centres over their width, below which blocks touch: one edge of each is not seen."""
+TOUCHING_SIGMA, SEAM_SIGMA = ViewSigma(place=0.0, yaw=0.004), ViewSigma(place=0.001, yaw=0.010)
+"""What that adds where the colours tell the two apart, and where they do not."""
+TYPICAL_HEIGHT = 0.045
+COVERED_WITHIN = 0.040
+UPRIGHT_WITHIN = np.radians(8.0)
+"""Tilt of the top face beyond which a block does not stand upright; noise alone gives 2-3 degrees."""
+OBLONG = 1.4
+"""Length over width from which a patch is no longer one square block."""
+SEAM = 0.003
+"""m on either side of the line between two touching blocks of a colour, where no view tells whose a cell is."""
+LEAST_POINTS = 40
+SHOWS = 400
+"""Pixels of a mask, over all pictures, from which something is surely there."""
+
+
+@dataclass(frozen=True)
+class BlockEstimate:
+    """One block whose top face was seen.
+
+    Attributes:
+        features, covariance: of core.vocabulary.BLOCK.
+        top_z: height of the body's top face in the world, m.
+        upright: its top face is level, high enough, and bears the stud.
+        stacked: it stands on another one, so that its own height is a guess.
+        views: how many saw the top face.
+    """
+
+    name: str
+    features: Float[np.ndarray, "10"]
+    covariance: Float[np.ndarray, "10 10"]
+    top_z: float
+    upright: bool
+    stacked: bool
+    views: int
+
+
+@dataclass(frozen=True)
+class Glimpse:
+    """A block of which something is seen around `centre` (2,), but no top face that could be measured."""
+
+    name: str
+    centre: Float[np.ndarray, "2"]
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """What a scan says about blocks.
+
+    Attributes:
+        found, glimpses: by name.
+        surplus: blocks seen beyond those that there are of their colour, named after one of these.
+        without_depth: names of blocks that show in the pictures, where these hold no depth.
+    """
+
+    found: dict[str, BlockEstimate]
+    glimpses: dict[str, Glimpse]
+    surplus: tuple[BlockEstimate, ...]
+    without_depth: tuple[str, ...]
+
+
+def estimate_blocks(views: Sequence[View], catalogue: Catalogue, box: BoxEstimate | None) -> Blocks:
+    """Every block whose top face is seen, and glimpses of those of which only sides are."""
+    found: dict[str, BlockEstimate] = {}
+    surplus: list[BlockEstimate] = []
+    without_depth: list[str] = []
+    patches: dict[str, list[np.ndarray]] = {}
+    for index, names in enumerate(catalogue.look_alikes):
+        masks = [v.valid & (v.labels == index) & _on_the_table(v, catalogue) for v in views]
+        points, _ = gather(views, masks)
+        if not len(points) and sum(int(((v.labels == index) & ~v.hidden).sum()) for v in views) >= SHOWS:
+            without_depth += names
+        pieces = [p for c in _patches(points) for p in (_squares(c, catalogue) if len(names) > 1 else [c])]
+        centres = [_middle(p) for p in pieces]
+        estimates = []
+        for i, piece in enumerate(pieces):
+            others = [c for j, c in enumerate(centres) if j != i]
+            estimate = _block(views, index, names[0], piece, others, catalogue, box)
+            if estimate is not None:
+                estimates.append(estimate)
+            else:
+                patches.setdefault(names[0], []).append(centres[i])
+        # The best seen are those that exist; what is left over is a riddle for whoever asked.
+        estimates.sort(key=lambda e: (-e.views, e.covariance[0, 0]))
+        surplus += [e for e in estimates[len(names) :] if _is_a_block_of_its_own(e, estimates[: len(names)])]
+        kept = sorted(estimates[: len(names)], key=lambda e: float(e.features[0]))
+        found |= {name: replace(e, name=name) for name, e in zip(names, kept, strict=False)}
+    found = {name: _beside_others(block, found, catalogue) for name, block in found.items()}
+    glimpses: dict[str, Glimpse] = {}
+    for name, block in list(found.items()):
+        # Under another block only a rim of the top face shows, or a side that looks like one: no measurement.
+        if any(_covers(other, block) for other in found.values()):
+            glimpses[name] = Glimpse(name, found.pop(name).features[:2])
+    for names in catalogue.look_alikes:
+        missing = [n for n in names if n not in found and n not in glimpses]
+        # A tower of one colour shows one top face: what is not seen elsewhere may be below it.
+        towers = [b.features[:2] for b in found.values() if b.stacked]
+        of_one_colour = [b.features[:2] for n, b in found.items() if n in names and b.stacked]
+        sides = sorted(patches.get(names[0], []), key=lambda c: min((_distance(c, t) for t in towers), default=0.0))
+        glimpses |= {n: Glimpse(n, c) for n, c in zip(missing, [*sides, *of_one_colour], strict=False)}
+    return Blocks(found, glimpses, tuple(surplus), tuple(without_depth))
+
+
+def _is_a_block_of_its_own(estimate: BlockEstimate, known: Sequence[BlockEstimate]) -> bool:
+    """Not a part of one that was counted already, seen apart from the rest of it."""
+    apart = [_distance(estimate.features, k.features) for k in known]
+    return estimate.upright and estimate.views > 1 and min(apart) > COVERED_WITHIN
+
+
+def _beside_others(block: BlockEstimate, found: Mapping[str, BlockEstimate], catalogue: Catalogue) -> BlockEstimate:
+    """The estimate with the doubt that blocks touching it add."""
+    covariance = block.covariance.copy()
+    place, yaw = np.zeros(3), 0.0
+    for name, other in found.items():
+        apart = _distance(other.features, block.features)
+        level = abs(other.top_z - block.top_z) < TYPICAL_HEIGHT / 2
+        if name == block.name or not level or apart > BESIDE * block.features[7]:
+            continue
+        added = SEAM_SIGMA if catalogue.hues[name] == catalogue.hues[block.name] else TOUCHING_SIGMA
+        place[:2] += added.place**2
+        yaw += added.yaw**2
+    covariance[:7, :7] += upright_covariance(place, yaw, block.features[3:7])
+    return replace(block, covariance=covariance)
+
+
+def _distance(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.linalg.norm(first[:2] - second[:2]))
+
+
+def _covers(upper: BlockEstimate, lower: BlockEstimate) -> bool:
+    apart = _distance(upper.features, lower.features)
+    return upper.top_z > lower.top_z + TYPICAL_HEIGHT / 2 and apart < COVERED_WITHIN
+
+
+def _block(
+    views: Sequence[View],
+    index: int,
+    name: str,
+    patch: np.ndarray,
+    others: Sequence[np.ndarray],
+    catalogue: Catalogue,
+    box: BoxEstimate | None,
+) -> BlockEstimate | None:
+    """The block of a patch of points, or None where no square top face shows.
+
+    Args:
+        others: centres of the other patches of that colour, which a vote for this one must not count.
+    """
+    top_z = peak_height(patch[:, 2])
+    on_top = np.abs(patch[:, 2] - top_z) < 0.005
+    # Sides alone have no peak: their heights are spread over the whole block.
+    if on_top.sum() < 60 or on_top.mean() < 0.3:
+        return None
+    top = patch[on_top]
+    centre, yaw, extents = rough_rectangle(_without_stragglers(top[:, :2]))
+    least, most = catalogue.block_width
+    if extents.max() < least * 0.6 or extents.max() > most * 1.4:
+        return None
+
+    def of_block(view: View) -> np.ndarray:
+        return view.labels == index
+
+    cells = grid(centre, 0.055, 0.001)
+    votes = vote(views, cells, top_z, of_block, outward_of_face(cells, centre))
+    votes = replace(votes, weight=np.where(_nearer_to(cells, centre, others), 0.0, votes.weight))
+    r = fit_rectangle(votes, (centre, yaw, np.clip(extents, least, most)), square=True)
+    if not least <= r.width <= most or r.misfit > 0.35:
+        return None
+    ground = catalogue.table_z
+    if box is not None and inside_box(np.array([r.x, r.y]), box.features):
+        ground += catalogue.floor_thickness
+    tilt = _tilt(top)
+    height = top_z - ground
+    low, high = catalogue.block_height
+    # Of a tower only the whole height is seen: its blocks share it.
+    storeys = 1 if height <= high else round(height / TYPICAL_HEIGHT)
+    size_z, size_z_sigma = height / storeys, SIZE_SIGMA if storeys == 1 else 0.003
+    features = np.array(
+        [r.x, r.y, top_z - size_z / 2, *spatial.quat_from_yaw(r.yaw), r.width, r.width, size_z], dtype=np.float64
+    )
+    covariance = np.zeros((10, 10))
+    covariance[:7, :7] = fitted_covariance(r, HEIGHT_SIGMA**2 + (size_z_sigma / 2) ** 2, votes.views, BLOCK_SIGMA)
+    covariance[7:9, 7:9] = r.sigma[3] ** 2 + SIZE_SIGMA**2
+    covariance[9, 9] = size_z_sigma**2
+    upright = tilt < UPRIGHT_WITHIN and height >= low and _has_stud(patch, r, top_z, catalogue)
+    return BlockEstimate(name, features, covariance, top_z, upright, storeys > 1, votes.views)
+
+
+def _has_stud(patch: np.ndarray, r: Rectangle, top_z: float, catalogue: Catalogue) -> bool:
+    """Does something of the stud's height stand on the middle of the top face? Not so on a block that lies."""
+    middle = np.hypot(patch[:, 0] - r.x, patch[:, 1] - r.y) < catalogue.stud_width / 2
+    high = patch[middle, 2] > top_z + catalogue.stud_height / 2
+    return len(high) > 20 and bool(high.mean() > 0.3)
+
+
+def _nearer_to(cells: np.ndarray, own: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
+    """(n,) which cells belong to another patch, or to the seam between it and this one."""
+    foreign = np.zeros(len(cells), dtype=bool)
+    for other in others:
+        across = (other - own) / (np.linalg.norm(other - own) + 1e-9)
+        foreign |= (cells - (own + other) / 2) @ across > -SEAM
+    return foreign
+
+
+def _on_the_table(view: View, catalogue: Catalogue) -> np.ndarray:
+    z = view.points[..., 2] - catalogue.table_z
+    return (z > 0.008) & (z < 0.26)
+
+
+def _patches(points: np.ndarray, step: float = 0.006) -> list[np.ndarray]:
+    """The points of every connected patch seen from above, the largest first, without stray ones."""
+    if len(points) < LEAST_POINTS:
+        return []
+    origin = points[:, :2].min(axis=0) - step
+    cell = ((points[:, :2] - origin) / step).astype(int)
+    shape = cell.max(axis=0) + 2
+    count = np.zeros(shape, dtype=np.int32)
+    np.add.at(count, (cell[:, 0], cell[:, 1]), 1)
+    _, labels = cv2.connectedComponents((count >= 2).astype(np.uint8), connectivity=8)
+    of_point = labels[cell[:, 0], cell[:, 1]]
+    sizes = np.bincount(of_point)
+    sizes[0] = 0
+    order = [int(i) for i in np.argsort(-sizes) if sizes[i] >= LEAST_POINTS]
+    return [points[of_point == i] for i in order]
+
+
+def _squares(patch: np.ndarray, catalogue: Catalogue) -> list[np.ndarray]:
+    """A patch that is too long for one square block, cut across until its pieces are not."""
+    xy = _without_stragglers(patch[:, :2])
+    (_, extents, _) = cv2.minAreaRect(xy.astype(np.float32))
+    long, short = max(extents), min(extents)
+    if long < max(OBLONG * short, 2 * catalogue.block_width[0]) or short < 0.6 * catalogue.block_width[0]:
+        return [patch]
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-5)
+    # Cells, not points: the block that is seen more often must not draw the cut towards it.
+    cells = np.unique((xy / 0.004).astype(int), axis=0).astype(np.float32) * 0.004
+    _, _, centres = cv2.kmeans(cells, 2, None, criteria, 1, cv2.KMEANS_PP_CENTERS)  # type: ignore[call-overload]
+    second = np.linalg.norm(patch[:, :2] - centres[1], axis=1) < np.linalg.norm(patch[:, :2] - centres[0], axis=1)
+    halves = [patch[~second], patch[second]]
+    if min(map(len, halves)) < LEAST_POINTS:
+        return [patch]
+    return [piece for half in halves for piece in _squares(half, catalogue)]
+
+
+def _middle(patch: np.ndarray) -> np.ndarray:
+    """(2,) of the least rectangle around a patch."""
+    return rough_rectangle(_without_stragglers(patch[:, :2]))[0]
+
+
+def _without_stragglers(xy: np.ndarray) -> np.ndarray:
+    away = np.linalg.norm(xy - np.median(xy, axis=0), axis=1)
+    return xy[away <= np.percentile(away, 97)]
+
+
+def _tilt(top: np.ndarray) -> float:
+    """Angle of the plane through points against the horizontal, rad."""
+    centred = top - top.mean(axis=0)
+    a, b = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
+    return float(np.arctan(np.hypot(a, b)))

@@ -1,0 +1,114 @@
+"""Atoms with doubt: whether a predicate holds everywhere that the poses may be, and what to do where it does not.
+
+A classifier's own probability says how the concept blurs; what is asked here is another thing, how much of the answer
+hangs on poses that are not known better. Another look helps with the second only.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atom, Object
+from resync_robot.planning.abstract import HOLDS, Abstraction
+from resync_robot.planning.execute import Model
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoubtSettings:
+    """Attributes: `samples` of every pose; an atom is certain that holds in a share of them up to `low`, or from `high`
+    on."""
+
+    samples: int = 40
+    low: float = 0.1
+    high: float = 0.9
+
+
+class DoubtingAbstraction(Abstraction):
+    """Grounds predicates over samples of the poses that a state's covariance allows.
+
+    An atom that some samples affirm and others deny counts as false, and so does its negation: nothing is built on
+    what is not known. States without a covariance, such as a simulator's, are judged as they are.
+
+    Args:
+        given: whose predicates and classifiers to use.
+        settings: how many samples, and when to be sure.
+    """
+
+    def __init__(self, given: Abstraction, settings: DoubtSettings | None = None) -> None:
+        super().__init__(given.predicates, given.classifiers)
+        self._settings = settings or DoubtSettings()
+        self._last: tuple[State, dict[Atom, float]] | None = None
+
+    def abstract(self, state: State) -> dict[Atom, float]:
+        """Every ground atom with the share of samples in which it holds; of those in doubt at most `HOLDS`."""
+        open_atoms = self.doubtful(state)
+        return {a: min(p, HOLDS) if a in open_atoms else p for a, p in self.shares(state).items()}
+
+    def doubtful(self, state: State) -> dict[Atom, float]:
+        """The atoms that are neither surely true nor surely false, with the share of samples in which each holds."""
+        if not _is_estimated(state):
+            return {}
+        s = self._settings
+        return {a: p for a, p in self.shares(state).items() if s.low < p < s.high}
+
+    def shares(self, state: State) -> dict[Atom, float]:
+        """Every ground atom with the share of samples in which it holds; its plain probability where nothing was
+        estimated."""
+        if not _is_estimated(state):
+            return super().abstract(state)
+        if self._last is None or self._last[0] is not state:
+            held: Counter[Atom] = Counter()
+            for sample in samples(state, self._settings.samples):
+                held.update({a: int(p > HOLDS) for a, p in super().abstract(sample).items()})
+            self._last = state, {a: n / self._settings.samples for a, n in held.items()}
+        return self._last[1]
+
+
+@dataclass(frozen=True)
+class DoubtingModel(Model):
+    """A model for states that are estimated."""
+
+    abstraction: DoubtingAbstraction
+
+
+def doubting(model: Model) -> DoubtingModel:
+    """The same model, for states that are estimated."""
+    return DoubtingModel(model.skills, DoubtingAbstraction(model.abstraction), model.operators, model.affordances)
+
+
+def samples(state: State, count: int) -> list[State]:
+    """States that the covariance of each object allows, errors of different objects independent.
+
+    The draws are the same for every state, so that two looks at the same thing are judged alike.
+    """
+    drawn: list[dict[Object, np.ndarray]] = [{} for _ in range(count)]
+    for number, obj in enumerate(state.objects):
+        covariance = state.covariance(obj)
+        if covariance is None:
+            for one in drawn:
+                one[obj] = state[obj]
+            continue
+        values, axes = np.linalg.eigh(covariance)
+        normal = np.random.default_rng([number, 17]).standard_normal((count, len(values)))
+        features = state[obj] + (normal * np.sqrt(np.maximum(values, 0.0))) @ axes.T
+        names = obj.type.features
+        if "qw" in names:
+            quaternion = slice(names.index("qw"), names.index("qw") + 4)
+            features[:, quaternion] /= np.linalg.norm(features[:, quaternion], axis=1, keepdims=True)
+        for one, row in zip(drawn, features, strict=True):
+            one[obj] = row
+    return [State(one) for one in drawn]
+
+
+def objects_in(atoms: Mapping[Atom, float]) -> tuple[Object, ...]:
+    """The objects that ground atoms speak of, in order."""
+    return tuple(dict.fromkeys(o for atom in sorted(atoms) for o in atom.args if isinstance(o, Object)))
+
+
+def _is_estimated(state: State) -> bool:
+    return any(state.covariance(o) is not None for o in state.objects)

@@ -1,0 +1,62 @@
+"""What `resync-robot calibrate noise` does: pictures of an empty table, and what they say about the camera."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from calibration.depth_noise import fit_noise
+from calibration.rig_file import update_rig
+from hardware.sim import SimCamera, SimRobot
+from hardware.stream import Stream
+from hardware.travel import travel
+from perception.scan import Scan
+from resync_robot.backends import NoisyCamera
+from resync_robot.calibration_settings import NoiseConfig
+from resync_robot.core.rig import load_rig
+from resync_robot.core.world import CameraFrame
+from resync_robot.progress import say
+from resync_robot.run_folder import check_writable
+from sim_training.calibration_scene import CalibrationWorld, displaced, empty_task
+from sim_training.sensor import NoisySensor
+
+PLACES = ((0.42, -0.12), (0.42, 0.12), (0.55, 0.0))
+"""(x, y) on the table, m, that a camera on the flange looks at."""
+
+
+def measure_noise(config: NoiseConfig) -> int:
+    """Take pictures of the empty table, fit, and write `[cameras.noise]` where a file is named.
+
+    Raises:
+        ResyncError: bad input, or pictures that tell nothing.
+    """
+    rig = load_rig(config.rig)
+    camera = rig.camera(config.camera)
+    if config.write is not None:
+        check_writable(config.write)
+    reality = displaced(load_rig(None), config.seed)
+    world = CalibrationWorld(empty_task(reality, config.seed), reality, None)
+    sensor = NoisySensor(config.seed, reality.camera(camera.name))
+    stills: list[list[CameraFrame]] = []
+    with SimRobot(world) as robot, NoisyCamera(SimCamera(world, camera.name), sensor) as device:
+        if camera.mount == "world":
+            stills.append([device.capture() for _ in range(config.frames)])
+        else:
+            stream = Stream(robot, rig)
+            scan = Scan(rig, camera=camera.name)
+            for place in PLACES:
+                for q in scan.towards(place, count=1):
+                    travel(stream, q)
+                    stills.append([device.capture() for _ in range(config.frames)])
+    found = fit_noise(camera, stills)
+    before = asdict(camera.noise)
+    for name, value in asdict(found.noise).items():
+        note = "" if value != before[name] else "   (not told by a plane)"
+        say(f"  {name:22s} rig {before[name]:8.4f}   found {value:8.4f}{note}")
+    say(
+        f"Camera '{camera.name}': {len(stills)} places, {config.frames} pictures each; the table fills "
+        f"{100 * found.flat:.0f} % of them and spans {found.span_px:.1f} px of disparity."
+    )
+    if config.write is not None:
+        update_rig(config.rig, config.write, camera.name, {}, noise=found.noise)
+        say(f"Written: {config.write}. Simulation imitates this camera from now on (--rig {config.write}).")
+    return 0
