@@ -30,6 +30,8 @@ _log = logging.getLogger(__name__)
 
 UNLOCK_AFTER_S = 5.5
 """The controller refuses to unlock a protective stop in its first 5 s."""
+UNLOCK_TRIES_S = 3.0
+"""Its clock may be slower than ours."""
 INSTALL = "uv pip install -e '.[hardware]' -c constraints.txt"
 SAFETY_NAMES = {
     2: "REDUCED", 3: "PROTECTIVE_STOP", 4: "RECOVERY", 5: "SAFEGUARD_STOP", 6: "SYSTEM_EMERGENCY_STOP",
@@ -193,16 +195,22 @@ class Ur7e(Connected):
             time.sleep(wait)
         self.close()
         with Dashboard(self._controller.address) as dashboard:
-            if dashboard.safety() == "PROTECTIVE_STOP":
-                dashboard.unlock_protective_stop()
-            deadline = time.monotonic() + 3.0
+            deadline, released = time.monotonic() + UNLOCK_TRIES_S, False
             while dashboard.safety() == "PROTECTIVE_STOP":
-                if time.monotonic() > deadline:
+                late = time.monotonic() > deadline
+                if released and late:
                     raise ProtectiveStopError(
                         "the controller says that it releases the protective stop, and stays locked",
                         "release it on the teach pendant, and start again",
                     )
-                time.sleep(0.05)
+                try:
+                    if not released:
+                        dashboard.unlock_protective_stop()
+                        released = True
+                except ProtectiveStopError:
+                    if late:
+                        raise
+                time.sleep(0.1)
         self.connect()
 
     def _move_gripper(self, opening: float) -> None:

@@ -15,11 +15,11 @@ from resync_robot.core.errors import ResyncError
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.world import Window
 from sim_training.domains import find_domain, world_task
+from sim_training.scene import place_camera
 from sim_training.sensor import NoisySensor
 from sim_training.world import SimWorld
 
 MAX_WINDOW_PX = 1024
-_AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 
 
 class Pictures:
@@ -60,11 +60,8 @@ class Pictures:
                 raise ResyncError(f"a window of {size} pixels; allowed: 1 to {MAX_WINDOW_PX}")
             colour = sensor.colour(world.render_window(name, window, size, error).colour)
             return {"height": size, "width": size}, colour.tobytes()
-        rig, camera = self._rig.camera(name), world.built.cameras[name]
-        if rig.mount == "flange":
-            camera.local_pose = Pose(rig.pose @ error @ _AXES)
-        else:
-            camera.entity.set_pose(Pose(rig.pose @ error @ _AXES))
+        rig = self._rig.camera(name)
+        place_camera(world.built.cameras[name], rig, rig.pose @ error)
         frame = sensor.apply(world.render(name))
         height, width = frame.depth.shape
         body_ = frame.colour.tobytes() + frame.depth.astype("<u2").tobytes()
