@@ -13,6 +13,8 @@ from perception.catalogue import Catalogue
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.world import CameraFrame
 
+NOBODY = -1
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -54,21 +56,22 @@ class ColourSegmenter:
     def __init__(self, catalogue: Catalogue, least_pixels: int = 25) -> None:
         self._catalogue = catalogue
         self._least_pixels = least_pixels
+        self._names = [alike[0] for alike in catalogue.look_alikes]
+        hues = np.array([catalogue.hues[n] for n in self._names])
+        away = np.abs((np.arange(256)[:, None] / 256 - hues + 0.5) % 1.0 - 0.5)
+        close = away.min(axis=1) <= catalogue.hue_tolerance
+        self._owner_of_hue = np.where(close, away.argmin(axis=1), NOBODY).astype(np.int8)
 
     def segment(self, frame: CameraFrame) -> list[Segment]:
         """Components of every catalogue colour. Raises PerceptionError on a picture that is no 8-bit RGB."""
         colour = as_rgb(frame)
         c = self._catalogue
         hsv = cv2.cvtColor(cv2.GaussianBlur(colour, (3, 3), 0.6), cv2.COLOR_RGB2HSV_FULL)
-        hue = hsv[..., 0].astype(np.float32) / 256
         vivid = (hsv[..., 1] >= c.least_saturation * 255) & (hsv[..., 2] >= c.least_value * 255)
-        names = [alike[0] for alike in c.look_alikes]
-        away = np.stack([np.abs((hue - c.hues[n] + 0.5) % 1.0 - 0.5) for n in names])
-        nearest = np.argmin(away, axis=0)
-        close = vivid & (np.min(away, axis=0) <= c.hue_tolerance)
+        owner = np.where(vivid, self._owner_of_hue[hsv[..., 0]], NOBODY)
         segments = []
-        for i, name in enumerate(names):
-            mask = (close & (nearest == i)).astype(np.uint8)
+        for i, name in enumerate(self._names):
+            mask = (owner == i).astype(np.uint8)
             count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
             segments += [
                 Segment(name, labels == k) for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] >= self._least_pixels

@@ -166,7 +166,7 @@ def test_a_lab_with_blocks_of_its_own_colours(rig: Rig) -> None:
 
 
 @pytest.mark.slow
-def test_ten_thousand_spoilt_pictures_crash_nothing(rig: Rig, catalogue: Catalogue) -> None:
+def test_two_thousand_spoilt_pictures_crash_nothing(rig: Rig, catalogue: Catalogue) -> None:
     """Small pictures, parts of which were lost, doubled, shifted or overwritten: an estimate or an error of our own."""
     small = replace(
         rig,
@@ -178,7 +178,7 @@ def test_ten_thousand_spoilt_pictures_crash_nothing(rig: Rig, catalogue: Catalog
     table.block("b0", 0.45, 0.05, FLOOR, 0.3, 0.060, 0.045)
     table.block("b1", 0.55, -0.08, FLOOR, 0.1, 0.060, 0.045)
     good, estimator, rng, refused = table.scan(), SceneEstimator(small), np.random.default_rng(0), 0
-    for _ in range(10_000):
+    for _ in range(2_000):
         frame = good[int(rng.integers(len(good)))]
         colour, depth, pose = frame.colour.copy(), frame.depth.copy(), frame.world_T_cam.copy()
         for _ in range(int(rng.integers(1, 4))):
@@ -202,4 +202,4 @@ def test_ten_thousand_spoilt_pictures_crash_nothing(rig: Rig, catalogue: Catalog
             assert all(np.isfinite(e.features).all() for e in found.blocks.values())
         except PerceptionError:
             refused += 1
-    assert 0 < refused < 10_000
+    assert 0 < refused < 2_000
