@@ -26,6 +26,7 @@ from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import Cutout, Observation
 from resync_robot.learning.camera_view import (
     DONE_IN_A_ROW,
+    LEAN,
     VIEWS,
     CameraPolicy,
     Chunks,
@@ -61,6 +62,9 @@ class MonitorSettings:
     lost: float = 0.09
     """Horizontal distance from the tips to the block, as the policy sees it, at which the block counts as lost."""
     lost_in_a_row: int = 4
+    leaning: float = 0.30
+    """Sine of the block's lean, as the policy sees it, at which the hand lets go: it falls back on its base. Pulled on,
+    it would soon lie on its side, where nothing can pick it. Demonstrations hardly ever lean so far."""
 
 
 def camera_recovery_skill(
@@ -217,6 +221,9 @@ class _Watch:
         if self._strange >= 2:
             i = swapped[0]
             raise Stopped(f"the pictures of camera '{VIEWS[i]}' look like those of '{VIEWS[int(taken_for[i])]}'")
+        lean = float(np.hypot(*p.block[0, LEAN]))
+        if lean > m.leaning:
+            raise Stopped(f"the block leans by {np.degrees(np.arcsin(min(1.0, lean))):.0f} degrees")
         away = float(np.hypot(*p.block[0, :2]))
         self._lost = self._lost + 1 if away > m.lost else 0
         if self._lost >= m.lost_in_a_row:

@@ -35,7 +35,7 @@ ACTION_NAMES = ("forward_m", "left_m", "up_m")
 
 
 BLOCK_NAMES = ("forward_m", "left_m", "up_m", "gap_x_m", "gap_y_m", "lean_forward", "lean_left")
-GAPS = slice(3, 5)
+GAPS, LEAN = slice(3, 5), slice(5, 7)
 BLOCK_MEAN = np.array([0.0, 0.0, -0.05, 0.03, 0.03, 0.0, 0.0])
 BLOCK_SPREAD = np.array([0.02, 0.02, 0.03, 0.02, 0.02, 0.1, 0.1])
 """What these are, roughly. A network learns them ten times faster in these units than in metres."""

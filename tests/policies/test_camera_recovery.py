@@ -56,6 +56,7 @@ class Scripted:
     done_at: int = 10_000
     away: float = 0.0
     gap: float = 0.05
+    lean: float = 0.0
     views: tuple[int, ...] = (0, 1, 2)
     seconds: float = 0.0
     picture: int = PICTURE
@@ -68,7 +69,7 @@ class Scripted:
         return Prediction(
             np.tile(np.array(self.step), (1, 8, 1)),
             np.array([float(self.asked >= self.done_at)]),
-            np.array([[self.away, 0.0, -0.06, self.gap, 0.05, 0.0, 0.0]]),
+            np.array([[self.away, 0.0, -0.06, self.gap, 0.05, self.lean, 0.0]]),
             np.eye(len(VIEWS))[None, list(self.views)],
         )
 
@@ -123,6 +124,7 @@ def test_the_hand_stays_in_the_box_whatever_the_policy_wants() -> None:
         (Scripted(), {"frozen": "front"}, "camera 'front' has given the same picture"),
         (Scripted(), {"late": 0.4}, "0.40 s old"),
         (Scripted(views=(1, 0, 2)), {}, "camera 'front' look like those of 'side'"),
+        (Scripted(lean=0.5), {}, "the block leans by 30 degrees"),
         (Scripted(away=0.2), {}, "not beneath the hand any more"),
         (Scripted(step=(0.0, 0.0, 0.0)), {}, "has not moved"),
         (Scripted(step=(0.0, 0.09, 0.0)), {}, "wants a step of 90 mm"),
