@@ -31,6 +31,7 @@ from resync_robot.learning.camera_view import (
     CameraPolicy,
     Chunks,
     Prediction,
+    careful_steps,
     from_hand,
     proprioception,
     says_done,
@@ -62,9 +63,9 @@ class MonitorSettings:
     lost: float = 0.09
     """Horizontal distance from the tips to the block, as the policy sees it, at which the block counts as lost."""
     lost_in_a_row: int = 4
-    leaning: float = 0.30
-    """Sine of the block's lean, as the policy sees it, at which the hand lets go: it falls back on its base. Pulled on,
-    it would soon lie on its side, where nothing can pick it. Demonstrations hardly ever lean so far."""
+    leaning: float = 0.6
+    """Sine of the block's lean, as the policy sees it, from which on letting go does not bring it back."""
+    leaning_in_a_row: int = 2
 
 
 def camera_recovery_skill(
@@ -152,7 +153,7 @@ def _drive(
         if answer is not None:
             prediction, late = answer
             watch.prediction(prediction)
-            chunks.push(prediction.steps[0], late)
+            chunks.push(careful_steps(prediction)[0], late)
             done_in_a_row = done_in_a_row + 1 if says_done(prediction)[0] else 0
             if done_in_a_row >= DONE_IN_A_ROW:
                 return True
@@ -196,6 +197,7 @@ class _Watch:
     _tips: list[np.ndarray] = field(default_factory=list)
     _strange: int = 0
     _lost: int = 0
+    _leaning: int = 0
 
     def picture(self, cutout: Cutout, now: float) -> None:
         m = self.settings
@@ -222,7 +224,8 @@ class _Watch:
             i = swapped[0]
             raise Stopped(f"the pictures of camera '{VIEWS[i]}' look like those of '{VIEWS[int(taken_for[i])]}'")
         lean = float(np.hypot(*p.block[0, LEAN]))
-        if lean > m.leaning:
+        self._leaning = self._leaning + 1 if lean > m.leaning else 0
+        if self._leaning >= m.leaning_in_a_row:
             raise Stopped(f"the block leans by {np.degrees(np.arcsin(min(1.0, lean))):.0f} degrees")
         away = float(np.hypot(*p.block[0, :2]))
         self._lost = self._lost + 1 if away > m.lost else 0
