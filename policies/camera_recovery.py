@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import permutations
 
 import numpy as np
 import torch
@@ -31,6 +32,7 @@ from resync_robot.learning.camera_view import (
     CameraPolicy,
     Chunks,
     Prediction,
+    careful_steps,
     from_hand,
     proprioception,
     says_done,
@@ -38,6 +40,7 @@ from resync_robot.learning.camera_view import (
 )
 from resync_robot.learning.recovery_policy import project, within_reach
 
+LEAST_SURE = 0.02
 ASIDE = 0.004
 """m beside the block's middle at which an attempt may begin; demonstrations begin up to 6 mm beside it."""
 
@@ -52,8 +55,9 @@ class MonitorSettings:
     """Times in a row that a camera may give the very same picture; noise makes any two differ."""
     late: float = 0.25
     """Age of a picture; training has pictures that are up to 0.1 s old."""
-    sure: float = 0.98
-    """Probability from which a picture is believed to come from another camera than it says."""
+    exchanged: float = 5.0
+    """Log-odds, summed over the pictures so far, from which cameras are believed to be exchanged. Of 62 recoveries the
+    right order never reached 0.4; exchanged cameras passed this in all but three."""
     largest_step: float = 0.035
     """Of the hand in 0.1 s: training never sees more than 0.02 along an axis."""
     stall_decisions: int = 30
@@ -62,9 +66,9 @@ class MonitorSettings:
     lost: float = 0.09
     """Horizontal distance from the tips to the block, as the policy sees it, at which the block counts as lost."""
     lost_in_a_row: int = 4
-    leaning: float = 0.30
-    """Sine of the block's lean, as the policy sees it, at which the hand lets go: it falls back on its base. Pulled on,
-    it would soon lie on its side, where nothing can pick it. Demonstrations hardly ever lean so far."""
+    leaning: float = 0.6
+    """Sine of the block's lean, as the policy sees it, from which on letting go does not bring it back."""
+    leaning_in_a_row: int = 2
 
 
 def camera_recovery_skill(
@@ -137,7 +141,7 @@ def _drive(
     m: MonitorSettings,
 ) -> Generator[JointTarget, Observation, bool]:
     """Steps until the policy says that it is done. Returns whether it did. Raises Stopped."""
-    watch = _Watch(m, rig)
+    watch = Watch(m, rig)
     chunks, thinking = Chunks(), _Thinking(policy, thread)
     done_in_a_row = 0
     for _ in range(s.max_decisions):
@@ -152,7 +156,7 @@ def _drive(
         if answer is not None:
             prediction, late = answer
             watch.prediction(prediction)
-            chunks.push(prediction.steps[0], late)
+            chunks.push(careful_steps(prediction)[0], late)
             done_in_a_row = done_in_a_row + 1 if says_done(prediction)[0] else 0
             if done_in_a_row >= DONE_IN_A_ROW:
                 return True
@@ -187,15 +191,16 @@ class _Thinking:
 
 
 @dataclass
-class _Watch:
+class Watch:
     """Notices what cannot be right. Every method raises Stopped."""
 
     settings: MonitorSettings
     rig: Rig
     _last: dict[str, tuple[bytes, int]] = field(default_factory=dict)
     _tips: list[np.ndarray] = field(default_factory=list)
-    _strange: int = 0
     _lost: int = 0
+    _leaning: int = 0
+    _seen_as: np.ndarray = field(default_factory=lambda: np.zeros((len(VIEWS), len(VIEWS))))
 
     def picture(self, cutout: Cutout, now: float) -> None:
         m = self.settings
@@ -212,22 +217,28 @@ class _Watch:
             raise Stopped(f"camera '{cutout.name}' has given the same picture {times} times")
 
     def prediction(self, p: Prediction) -> None:
-        m, views = self.settings, p.views[0]
+        m = self.settings
         if not all(np.all(np.isfinite(part)) for part in (p.steps, p.done, p.block)):
             raise Stopped("the policy gives numbers that are none")
-        taken_for = views.argmax(-1)
-        swapped = [i for i in range(len(VIEWS)) if taken_for[i] != i and views[i].max() > m.sure]
-        self._strange = self._strange + 1 if swapped else 0
-        if self._strange >= 2:
-            i = swapped[0]
-            raise Stopped(f"the pictures of camera '{VIEWS[i]}' look like those of '{VIEWS[int(taken_for[i])]}'")
+        self._order(p.views[0])
         lean = float(np.hypot(*p.block[0, LEAN]))
-        if lean > m.leaning:
+        self._leaning = self._leaning + 1 if lean > m.leaning else 0
+        if self._leaning >= m.leaning_in_a_row:
             raise Stopped(f"the block leans by {np.degrees(np.arcsin(min(1.0, lean))):.0f} degrees")
         away = float(np.hypot(*p.block[0, :2]))
         self._lost = self._lost + 1 if away > m.lost else 0
         if self._lost >= m.lost_in_a_row:
             raise Stopped(f"the block is not beneath the hand any more, but {1000 * away:.0f} mm beside it")
+
+    def _order(self, views: np.ndarray) -> None:
+        # No single picture may decide: each counts for a factor of 50 at most.
+        self._seen_as = self._seen_as + np.log(np.clip(views, LEAST_SURE, 1.0))
+        orders = list(permutations(range(len(VIEWS))))
+        support = [float(self._seen_as[range(len(VIEWS)), order].sum()) for order in orders]
+        best = orders[int(np.argmax(support))]
+        if max(support) - support[0] > self.settings.exchanged:
+            i = next(i for i, j in enumerate(best) if i != j)
+            raise Stopped(f"the pictures of camera '{VIEWS[i]}' look like those of '{VIEWS[best[i]]}'")
 
     def step(self, step: np.ndarray) -> np.ndarray:
         largest = float(np.abs(step).max())
@@ -243,7 +254,7 @@ class _Watch:
             raise Stopped(f"the hand has not moved for {m.stall_decisions / 10:.0f} s")
 
 
-def _observe(hand: Hand, goal: np.ndarray, rig: Rig, picture: int, watch: _Watch) -> tuple[np.ndarray, np.ndarray]:
+def _observe(hand: Hand, goal: np.ndarray, rig: Rig, picture: int, watch: Watch) -> tuple[np.ndarray, np.ndarray]:
     """Pictures (views, p, p, 3) and state (12,) as in training: the step to `goal` is under way."""
     seen = hand.last
     if seen.look is None:

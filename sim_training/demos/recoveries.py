@@ -25,6 +25,9 @@ FOCAL_SIGMA = 0.005
 """Relative error of a calibrated focal length."""
 START_HEIGHT = (0.045, 0.075)
 """m of the tip over the stud at which the policy takes over, around what the skill's approach gives."""
+TILTED = 0.3
+"""Share of the still moments in which the block stands on an edge or lies on its side. A demonstration hardly ever gets
+there, but a student may, and must see it."""
 START_SPREAD = 0.006
 """m by which the scan that the approach relies on may be wrong, and some."""
 
@@ -72,7 +75,7 @@ class RenderedRecovery:
         self._before: np.ndarray | None = None
         self.stands = self._settle()
         self.sent, self._last = self._place_arm()
-        self.x = self._state()
+        self.x = self._failure = self._state()
         self.previous = self.x
 
     @property
@@ -120,9 +123,13 @@ class RenderedRecovery:
         A recovery's own path hardly shows such moments: a block that is nearly free, or not at all, and a hand that
         has left it. Yet these are what tells a recovery that is done from one that is not.
         """
-        still = draw_still(self.x, random)[0].double().numpy()
-        pose = still[recovery_policy.BLOCK][:7]
-        self._body.entity.set_pose(sapien.Pose(pose[:3], pose[3:]))
+        still = draw_still(self._failure, random)[0].double().numpy()
+        block = still[recovery_policy.BLOCK]
+        pose = spatial.pose_from_features(block[:7])
+        if self._rng.random() < TILTED:
+            # Small leans are the ones that something can still be done about.
+            pose = tilted(pose, block[7], block[9], int(self._rng.integers(4)), np.pi / 2 * self._rng.random() ** 2)
+        self._body.entity.set_pose(sapien.Pose(pose))
         self._body.linear_velocity = self._body.angular_velocity = np.zeros(3)
         self.sent = still[recovery_policy.TIP]
         self._last = self._worlds.joints_at(torch.as_tensor(self.sent, dtype=torch.float32)[None], self._zero)[0]
@@ -184,3 +191,13 @@ class RenderedRecovery:
             component.take_picture()
             taken.append(self._sensors[name].colour(colour_of(component)))
         return np.stack(taken)
+
+
+def tilted(
+    world_T_block: Float[np.ndarray, "4 4"], width: float, height: float, edge: int, angle: float
+) -> Float[np.ndarray, "4 4"]:
+    """The block turned by `angle` rad over one of its four lower edges; what it stands on is not entered."""
+    side = spatial.rotation_about("z", edge * np.pi / 2)
+    pivot = side @ np.array([width / 2, 0.0, -height / 2])
+    turned = side @ spatial.rotation_about("y", angle) @ side.T
+    return world_T_block @ spatial.transform(turned, pivot - turned @ pivot)

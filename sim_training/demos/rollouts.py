@@ -16,7 +16,15 @@ from torch import Tensor
 
 from resync_robot.core.rig import Rig
 from resync_robot.learning import camera_view, recovery_policy
-from resync_robot.learning.camera_view import DONE_IN_A_ROW, CameraPolicy, Chunks, proprioception, says_done, to_hand
+from resync_robot.learning.camera_view import (
+    DONE_IN_A_ROW,
+    CameraPolicy,
+    Chunks,
+    careful_steps,
+    proprioception,
+    says_done,
+    to_hand,
+)
 from resync_robot.learning.recovery_policy import up_axis
 from sim_training.demos.recoveries import RenderedRecovery, Seen
 from sim_training.demos.starts import Start
@@ -269,7 +277,7 @@ def _advance_students(runs: Sequence[_Run], student: CameraPolicy) -> None:
     seen = [r.scene.see() for r in asking]
     states = [proprioception(o.q, o.tip, r.goal, r.scene.yaw) for o, r in zip(seen, asking, strict=True)]
     said = student(np.stack([o.pictures for o in seen]), np.stack(states))
-    for r, steps, done in zip(asking, said.steps, says_done(said), strict=True):
+    for r, steps, done in zip(asking, careful_steps(said), says_done(said), strict=True):
         r.chunks.push(steps)
         r.said_done = r.said_done + 1 if done else 0
 

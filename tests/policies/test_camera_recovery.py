@@ -93,6 +93,12 @@ def test_a_policy_gets_pictures_of_the_size_that_it_wants() -> None:
     assert run(Scripted(done_at=1, picture=96))[0] == Outcome(Ending.DONE)
 
 
+def test_a_block_that_leans_is_let_go() -> None:
+    pulled, let_go = (run(Scripted(step=(0.01, 0.0, 0.0), lean=lean))[1] for lean in (0.05, 0.3))
+    assert max(tip[0] for tip in pulled.tips) > max(tip[0] for tip in let_go.tips) + 0.005
+    assert np.ptp([tip[1] for tip in let_go.tips[-50:]]) < 1e-3, "straight up"
+
+
 def test_a_policy_that_says_done_beside_a_wall_is_not_believed() -> None:
     outcome, _ = run(Scripted(done_at=3, gap=0.01))
     assert outcome.ending is not Ending.DONE
@@ -124,7 +130,7 @@ def test_the_hand_stays_in_the_box_whatever_the_policy_wants() -> None:
         (Scripted(), {"frozen": "front"}, "camera 'front' has given the same picture"),
         (Scripted(), {"late": 0.4}, "0.40 s old"),
         (Scripted(views=(1, 0, 2)), {}, "camera 'front' look like those of 'side'"),
-        (Scripted(lean=0.5), {}, "the block leans by 30 degrees"),
+        (Scripted(lean=0.99), {}, "the block leans by 82 degrees"),
         (Scripted(away=0.2), {}, "not beneath the hand any more"),
         (Scripted(step=(0.0, 0.0, 0.0)), {}, "has not moved"),
         (Scripted(step=(0.0, 0.09, 0.0)), {}, "wants a step of 90 mm"),

@@ -8,15 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from perception.cutout import cut_out
+from resync_robot.core import spatial
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.rig import load_rig
 from resync_robot.learning.camera_view import BLOCK_NAMES, EXECUTE, GAPS, PICTURE, VIEWS, Prediction, to_hand, window_at
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import wall_gaps
 from sim_training.demos import dataset
-from sim_training.demos.recoveries import RenderedRecovery
+from sim_training.demos.recoveries import RenderedRecovery, tilted
 from sim_training.demos.rollouts import RolloutSettings, Segment, demonstrate, look_around, try_student
 from sim_training.demos.starts import Start, draw_start
 from sim_training.domains import find_domain
@@ -149,6 +152,24 @@ def test_moments_without_motion_show_blocks_anywhere_and_say_whether_they_are_fr
     needed = RecoverySettings().gap + RolloutSettings().margin
     assert not found.recovered[gaps < needed - 1e-3].any() and found.recovered.any()
     assert look_around([], RIG, RecoverySettings(), 0) is None
+
+
+@given(st.integers(0, 3), st.floats(0.0, np.pi / 2), st.floats(0.03, 0.08), st.floats(0.03, 0.08), st.floats(-3, 3))
+def test_a_tilted_block_stands_on_one_edge(edge: int, angle: float, width: float, height: float, yaw: float) -> None:
+    upright = spatial.transform(spatial.rotation_about("z", yaw), np.array([0.4, 0.1, height / 2]))
+    pose = tilted(upright, width, height, edge, angle)
+    signs = np.array([[x, y, z, 1.0] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = (pose @ (signs * [width / 2, width / 2, height / 2, 1.0]).T)[2]
+    assert np.sort(corners)[:2] == pytest.approx([0, 0], abs=1e-9), "two corners on the floor, none below"
+    assert pose[2, 2] == pytest.approx(np.cos(angle), abs=1e-9)
+
+
+def test_some_moments_without_motion_show_blocks_that_lean_and_call_none_of_them_free() -> None:
+    found = look_around([FREE] * 10, RIG, RecoverySettings(), 0, each=4)
+    assert found is not None
+    lean = np.hypot(*found.block[:, 5:].T)
+    assert 0.1 < (lean > 0.1).mean() < 0.5 and lean.max() > 0.5
+    assert not found.recovered[lean > 0.2].any() and found.recovered.any()
 
 
 def test_demonstrations_end_a_margin_beyond_the_line() -> None:
