@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -42,16 +43,33 @@ JUMP_SLACK = 0.05
 are built on the measured pose. Anything further is a mistake of the caller, not a step of a skill."""
 MOST_TICKS = 30_000
 """For one target; 60 s."""
+PIECE = 50
+"""Setpoints that a robot in real time is given at once, 0.1 s, each with a way to rest from there: it brakes as soon
+as that when this process lets go of it or dies, however long the target takes."""
 MAX_LATENESS = 20
 """How often one target may come too late for the robot before that is an error."""
 FIRST_RUN_PACE = 0.25
 """Share of every speed until the motions have been confirmed at a machine. The path is the same, in more time."""
 PACE_MARGIN = 0.8
 """Of the tip's speed limit then, at which a target is given still more time: the guard holds the limit itself."""
+FALLING = 0.99
+"""Share of its excess speed that a target must fall below when it is given more time, to be given still more."""
 STILL = 0.02
 """rad/s below which a settled joint counts as at rest."""
 
 Recorder = Callable[[RobotState, Command], None]
+Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""(6,) each: rad, rad/s, rad/s^2."""
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Setpoints `begin` to `end` (excluded) of a target, the motion at their end, and the way to rest from there."""
+
+    begin: int
+    end: int
+    after: Motion
+    stop: Float[np.ndarray, "m 6"]
 
 
 class Stream:
@@ -151,11 +169,16 @@ class Stream:
                 if not travel:
                     self._check_jump(arm, count * SERVO_PERIOD)
                 setpoints, velocity = self._plan(arm, count)
-                after = [np.array(part) for part in self._trajectory.at_time(len(setpoints) * SERVO_PERIOD)]
-                stop = None if self._realtime is None else self._stop_from(*after)
+                openings = self._openings(target.opening, len(setpoints))
+                pieces = self._pieces(len(setpoints))
+                if len(pieces) > 1:
+                    self._guard.check(setpoints, openings, {piece.end: piece.stop for piece in pieces})
                 due = self._clock() if self._realtime is None else self._realtime.due()
                 self.timing = Timing(None, asked, due, time.perf_counter() - begin)
-                self._send(target, setpoints, self._openings(target.opening, len(setpoints)), stop)
+                for piece in pieces:
+                    rows = slice(piece.begin, piece.end)
+                    self._send(target, setpoints[rows], openings[rows], piece.stop)
+                    self._position, self._velocity, self._acceleration = piece.after
             except StarvedError as error:
                 # The arm rests where it braked to; the same target is asked for again from there.
                 self.late += 1
@@ -167,7 +190,6 @@ class Stream:
             except MotionError:
                 self.stop()
                 raise
-            self._position, self._velocity, self._acceleration = after
             self._target, self._target_velocity = JointTarget(arm, float(target.opening)), velocity
             return self._command(target)
         raise RobotError(
@@ -196,7 +218,7 @@ class Stream:
         Raises:
             SafetyError: even braking would break a limit (the floor, say); the robot then gets no more setpoints.
         """
-        setpoints = self._stop_from(self._position, self._velocity, self._acceleration)
+        setpoints = self._stop_from((self._position, self._velocity, self._acceleration))
         if len(setpoints):
             end = JointTarget(setpoints[-1].copy(), self._guard.last_opening)
             try:
@@ -205,19 +227,28 @@ class Stream:
                 self._guard.rest_at(error.q)
         self._rest()
 
-    def _stop_from(self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+    def _pieces(self, count: int) -> list[_Piece]:
+        """The parts in which `count` setpoints of the trajectory are sent, each as good as a target of its own."""
+        ends = [count] if self._realtime is None else [*range(PIECE, count, PIECE), count]
+        pieces, begin = [], 0
+        for end in ends:
+            position, velocity, acceleration = (np.array(x) for x in self._trajectory.at_time(end * SERVO_PERIOD))
+            after = position, velocity, acceleration
+            stop = np.empty((0, 6)) if self._realtime is None else self._stop_from(after)
+            pieces.append(_Piece(begin, end, after, stop))
+            begin = end
+        return pieces
+
+    def _stop_from(self, moving: Motion) -> np.ndarray:
         """(n, 6) setpoints to rest as fast as the limits allow; none where the arm is at rest already."""
+        _, velocity, acceleration = moving
         if not (np.any(velocity) or np.any(acceleration)):
             return np.empty((0, 6))
-        plan = self._input
-        plan.control_interface = ControlInterface.Velocity
-        before = self._position, self._velocity, self._acceleration
-        self._position, self._velocity, self._acceleration = position, velocity, acceleration
+        self._input.control_interface = ControlInterface.Velocity
         try:
-            self._calculate(np.zeros(6), np.zeros(6), 0.0, self._way_to_rest, pace=1.0)
+            self._calculate(np.zeros(6), np.zeros(6), 0.0, self._way_to_rest, 1.0, moving)
         finally:
-            plan.control_interface = ControlInterface.Position
-            self._position, self._velocity, self._acceleration = before
+            self._input.control_interface = ControlInterface.Position
         count = int(np.ceil(self._way_to_rest.duration / SERVO_PERIOD)) + 1
         return self._sample(count, self._way_to_rest)
 
@@ -226,6 +257,7 @@ class Stream:
 
         Leaves the trajectory behind them in `_trajectory`.
         """
+        before = np.inf
         while True:
             velocity = (arm - self._target.arm) / (count * SERVO_PERIOD)
             self._calculate(arm, self._arrival(velocity), count * SERVO_PERIOD)
@@ -233,6 +265,12 @@ class Stream:
             excess = self._guard.tip_speed(setpoints) / (PACE_MARGIN * FIRST_RUN_SPEED) if self._slow else 0.0
             if excess <= 1.0 or count >= MOST_TICKS:
                 return setpoints, velocity
+            # A trajectory that lasts longer than this ignores the count so far; one that does not, and is no slower
+            # for more time, is fast because of the motion that it begins with, which no time helps.
+            if self._trajectory.duration <= (count + 1) * SERVO_PERIOD:
+                if excess > FALLING * before:
+                    return setpoints, velocity
+                before = excess
             count = min(MOST_TICKS, int(np.ceil(count * max(excess, 1.1))))
 
     def _check_jump(self, arm: np.ndarray, seconds: float) -> None:
@@ -268,12 +306,14 @@ class Stream:
         at_least: float,
         into: Trajectory | None = None,
         pace: float | None = None,
+        begin: Motion | None = None,
     ) -> None:
         """The fastest trajectory at that pace, `at_least` so many s long. Raises MotionError where there is none."""
         plan, pace = self._input, self._pace if pace is None else pace
-        plan.current_position = self._position.tolist()
-        plan.current_velocity = self._velocity.tolist()
-        plan.current_acceleration = self._acceleration.tolist()
+        position, velocity, acceleration = begin or (self._position, self._velocity, self._acceleration)
+        plan.current_position = position.tolist()
+        plan.current_velocity = velocity.tolist()
+        plan.current_acceleration = acceleration.tolist()
         plan.target_position = arm.tolist()
         plan.target_velocity = arrival.tolist()
         plan.minimum_duration = at_least

@@ -14,12 +14,13 @@ import os
 import sys
 import threading
 import time
+import traceback
 from collections import deque
 from typing import Any
 
 import numpy as np
 
-from hardware.ur_memory import NOT_STARTED, RING, SNAPSHOT, STOPS, Fault, LinkMemory
+from hardware.ur_memory import RING, SNAPSHOT, STOPS, Fault, LinkMemory
 
 PERIOD = 0.002
 KICK_S = 0.02
@@ -32,7 +33,7 @@ PLAYING = 2
 LOOKAHEAD, GAIN = 0.1, 300.0
 """s and the proportional gain of servoj: the smoothest that the controller offers without lagging more."""
 LINK_LOST, STILL_RUNNING = 3, 4
-"""Exit codes that ask the driver to end the robot's program."""
+"""Exit codes. After any but 0 the driver ends the robot's program, if one was uploaded."""
 END_S = 2.0
 """How long the client may take to end the program; it waits for ever for a controller that is gone."""
 
@@ -61,6 +62,7 @@ class Link:
 
     def begin(self, settings: dict[str, Any]) -> None:
         """Upload the program, and set and verify what has to be right before anything moves."""
+        self._words["uploaded"] = 1
         if not self.control.reuploadScript():
             raise RuntimeError("the controller did not take the control program")
         limit = time.monotonic() + 3.0
@@ -141,7 +143,6 @@ class Link:
         if pause > 0:
             time.sleep(pause)
         elif pause < -PERIOD:
-            self._words["late_ticks"] += 1
             return time.monotonic()
         return due
 
@@ -196,27 +197,34 @@ class Link:
 def main() -> None:
     settings = json.loads(sys.stdin.readline())
     memory = LinkMemory(int(settings["memory"]))
-    code = NOT_STARTED
     try:
         link = Link(settings, memory)
-        code = STILL_RUNNING
         link.begin(settings)
+        link.look()
     # The client raises whatever its libraries do; the driver makes one sentence of it.
     except Exception as error:
         say(error=str(error).strip() or type(error).__name__)
-        leave(code)
-    link.look()
-    threading.Thread(target=link.watch_driver, daemon=True).start()
-    say(ready=True)
+        leave(STILL_RUNNING)
+    try:
+        threading.Thread(target=link.watch_driver, daemon=True).start()
+        say(ready=True)
+        leave(serve(link, memory))
+    except Exception:
+        traceback.print_exc()
+        leave(STILL_RUNNING)
+
+
+def serve(link: Link, memory: LinkMemory) -> int:
+    """Send setpoints to the end; the exit code."""
     fault = link.run()
     memory.words["fault"] = int(fault)
     if fault is Fault.LINK_LOST:
-        leave(LINK_LOST)
+        return LINK_LOST
     if fault is Fault.DRIVER_GONE:
         link.end_program()
-        leave(0)
+        return 0
     link.watch_after(fault)
-    leave(0 if fault is Fault.STOPPED else STILL_RUNNING)
+    return 0 if fault is Fault.STOPPED else STILL_RUNNING
 
 
 def leave(code: int) -> None:
