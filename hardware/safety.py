@@ -86,6 +86,8 @@ class Guard:
         try:
             self.check_target(np.asarray(state.q, dtype=np.float64), opening)
         except SafetyError as error:
+            if error.quantity not in ("position", "floor", "workspace", "clearance"):
+                raise
             raise SafetyError(
                 error.quantity, error.joint, error.value, error.limit,
                 f"the arm cannot be driven from where it stands: {error.what}",

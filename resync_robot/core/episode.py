@@ -10,7 +10,7 @@
 | /atoms | text of each atom -> probability |
 | /plan | steps, index of the one under way, why it was planned |
 | /event | scan, skill start and end, replan, give-up, goal, stop |
-| /timing | of each target: exposure of what it was decided on, asked, first setpoint due, seconds of computing |
+| /timing | of each target: exposure of what was looked at before it, asked, first setpoint due, seconds of computing |
 | /camera/NAME/info | intrinsics and pose |
 | /camera/NAME/{colour,depth} | sensor_msgs/CompressedImage: JPEG, and 16-bit PNG (unit 1e-4 m, 0 = nothing) |
 | /camera/NAME/window | the same as PNG: the parts that a skill looked at while it moved |
@@ -142,7 +142,8 @@ class Timing:
     """Of one target, on the robot's clock in s.
 
     Attributes:
-        picture: when the oldest picture was exposed that the target was decided on; None where there was none.
+        picture: when the oldest picture was exposed that was looked at since the target before; None where there was
+            none. A policy that thinks beside the motion decides on it one decision later.
         asked: when it was handed to the stream; `due`: when its first setpoint was to be sent.
         computed: s of computing in between.
     """

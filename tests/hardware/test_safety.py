@@ -215,6 +215,15 @@ def test_parts_of_the_arm_do_not_meet(guard, robot, rig):
     assert robot.sent == []
 
 
+def test_an_arm_that_stands_too_near_has_to_be_moved_by_hand(perfect_robot, rig):
+    folded = rig.arm.home.copy()
+    folded[4] = -3.0
+    with pytest.raises(SafetyError, match="from where it stands") as caught:
+        Guard(perfect_robot(folded), rig)
+    assert caught.value.quantity == "clearance"
+    assert "by hand on the teach pendant" in caught.value.fix
+
+
 def test_only_the_hand_comes_near_an_obstacle(guard, rig):
     tip = rig.tip_pose(rig.arm.home)
     at_tip = Obstacle("box", spatial.transform(None, tip[:3, 3]), np.array([0.2, 0.2, 0.05]))
