@@ -16,6 +16,7 @@ import threading
 import time
 import traceback
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ KICK_S = 0.02
 VARIABLES = (
     "timestamp", "actual_q", "actual_qd", "actual_TCP_force", "robot_mode", "safety_mode", "runtime_state",
     "robot_status_bits", "safety_status_bits", "speed_scaling", "target_speed_fraction", "payload",
+    "payload_cog",
 )  # fmt: skip
 PLAYING = 2
 LOOKAHEAD, GAIN = 0.1, 300.0
@@ -42,6 +44,11 @@ def say(**content: Any) -> None:
     """One line of JSON to the driver."""
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()
+
+
+def apart(one: Sequence[float], other: Sequence[float]) -> float:
+    """The largest difference."""
+    return max(abs(a - b) for a, b in zip(one, other, strict=True))
 
 
 class Link:
@@ -79,12 +86,14 @@ class Link:
         if not self.control.setPayload(payload, centre) or not self.control.setTcp(tcp):
             raise RuntimeError("the controller did not take payload and TCP")
         got = self.control.getTCPOffset()
-        if max(abs(a - b) for a, b in zip(got, tcp, strict=True)) > 1e-6:
+        if apart(got, tcp) > 1e-6:
             raise RuntimeError(f"the controller has the TCP {got} instead of {tcp}")
-        limit = time.monotonic() + 1.0
-        while abs(self.receive.getPayload() - payload) > 1e-3:
+        wanted, limit = [payload, *centre], time.monotonic() + 1.0
+        while apart(got := [self.receive.getPayload(), *self.receive.getPayloadCog()], wanted) > 1e-3:
             if time.monotonic() > limit:
-                raise RuntimeError(f"the controller has a payload of {self.receive.getPayload()} kg, not {payload}")
+                raise RuntimeError(
+                    f"the controller has the payload {got} instead of {wanted} (kg, and its centre in m)"
+                )
             time.sleep(0.005)
         if not self.control.setWatchdog(settings["watchdog"]):
             raise RuntimeError("the controller did not take the watchdog")

@@ -272,7 +272,7 @@ def _episode(
             writer,
             devices.clock,
             devices.truth,
-            lambda: [c.capture() for c in standing],
+            [camera.capture for camera in standing],
             live=isinstance(devices.robot, RealtimeRobot),
             confirm=lambda step: _may_run(config, str(step)),
             tell=say,

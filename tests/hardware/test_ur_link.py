@@ -129,6 +129,13 @@ def test_a_link_that_never_began_leaves_the_others_program_alone(lab: Lab) -> No
     assert lab.stopped == []
 
 
+def test_a_controller_that_keeps_another_centre_of_the_payload_is_not_driven(lab: Lab) -> None:
+    with pytest.raises(RobotError, match=r"payload \[1\.2, 0\.0, 0\.0, 0\.1\] instead of \[1\.2, 0\.0, 0\.0, 0\.06\]"):
+        lab.connect("centre")
+    assert lab.stopped == ["program"]
+    assert lab.wire() == []
+
+
 @pytest.mark.parametrize("starved", [False, True], ids=["playing", "resting"])
 def test_a_link_that_hangs_is_silent_and_not_waited_for(
     lab: Lab, starved: bool, monkeypatch: pytest.MonkeyPatch
