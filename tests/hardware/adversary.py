@@ -18,6 +18,7 @@ from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from tests.hardware.conftest import PerfectRobot
+from tests.stalls import never_excused
 
 ROUNDING = 1e-6
 BAD = (np.nan, np.inf, -np.inf, 1e300, -1e300, 1e9)
@@ -94,6 +95,7 @@ def attack(stream: Stream, rig: Rig, kind: str, rng: np.random.Generator) -> str
     return TAKEN
 
 
+@never_excused()
 def assert_nothing_out_of_limits(sent: Sequence[np.ndarray], rig: Rig, start: np.ndarray | None = None) -> None:
     """Every setpoint, with the arm at rest at `start`, or home, before the first: limits, workspace, room."""
     wire = np.array(sent)
