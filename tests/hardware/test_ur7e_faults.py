@@ -278,8 +278,9 @@ def test_a_dropped_link_is_one_error_one_upload_and_no_zombie(machine: Emulator,
         error = during_motion(robot, rig, lambda: machine.call(machine.drop_link))
         assert isinstance(error, StaleError)
         assert wait_for(lambda: machine.controller.program is None)
-        assert process.poll() is not None, "reaped, not left as a zombie"
         time.sleep(0.5)
+    # The client may hang in its attempts to reconnect, for longer than the driver waits.
+    assert process.poll() is not None, "reaped, not left as a zombie"
     assert machine.controller.uploads == 1
     assert machine.controller.program is None
     assert is_still(machine)
