@@ -59,12 +59,12 @@ class Robotiq(Connected):
 
     Args:
         address: IPv4 address of the controller that carries the URCap.
-        table: measured (counts, m) pairs, counts rising, openings falling.
+        table: measured (counts, m) pairs, counts rising, openings falling; the rig file's reader sees to that.
         speed: m/s of opening, MIN_SPEED to MAX_SPEED.
         force: 0 to 1 of what the gripper can do; counts of force are no newtons.
 
     Raises:
-        RobotError: a speed, force or table that cannot be.
+        RobotError: a speed or force that cannot be.
     """
 
     def __init__(
@@ -75,22 +75,18 @@ class Robotiq(Connected):
         force: float = 0.2,
         port: int = PORT,
     ) -> None:
-        counts, openings = np.array(table, dtype=float).T
-        if len(table) < 2 or np.any(np.diff(counts) <= 0) or np.any(np.diff(openings) >= 0):
-            raise RobotError(f"the gripper's table {list(table)} must have rising counts and falling openings")
         if not MIN_SPEED <= speed <= MAX_SPEED or not 0.0 <= force <= 1.0:
             raise RobotError(
                 f"gripper speed {speed} m/s and force {force}; allowed: {MIN_SPEED} to {MAX_SPEED} m/s and 0 to 1"
             )
         self._where = (address, port)
-        self._counts, self._openings = counts, openings
+        self._counts, self._openings = np.array(table, dtype=float).T
         self._spe = round(255 * (speed - MIN_SPEED) / (MAX_SPEED - MIN_SPEED))
         self._for = round(255 * force)
         self._socket: socket.socket | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
         self._wanted: int | None = None
-        self._holding = False
         self._state = GripperState(0.0, False)
         self._error: RobotError | None = None
         self._heard = 0.0
@@ -143,11 +139,6 @@ class Robotiq(Connected):
         if time.monotonic() - self._heard > STALE_S + TIMEOUT_S:
             raise RobotError("the gripper has fallen silent", "check its cable and its URCap")
         return self._state
-
-    @property
-    def dropped(self) -> bool:
-        """An object was held, and is gone although nobody opened the hand."""
-        return self._holding and not self._state.object_detected
 
     def move(self, opening: float) -> None:
         """Start moving towards `opening` (m); returns at once. Raises RobotError as `state` does."""
@@ -229,8 +220,6 @@ class Robotiq(Connected):
         opening = self.opening(self.get("POS"))
         status = self.get("OBJ")
         gripped = status in (ObjectStatus.WHILE_CLOSING, ObjectStatus.WHILE_OPENING)
-        if gripped:
-            self._holding = True
         self._state, self._heard = GripperState(opening, gripped), time.monotonic()
 
     def _work(self) -> None:
@@ -240,8 +229,6 @@ class Robotiq(Connected):
                 with self._lock:
                     wanted, self._wanted = self._wanted, None
                 if wanted is not None and wanted != sent:
-                    if sent is not None and wanted < sent:
-                        self._holding = False
                     self._set(POS=wanted, SPE=self._spe, FOR=self._for, GTO=1)
                     sent = wanted
                 self._refresh()

@@ -8,7 +8,7 @@ setpoints, between which the tip moves no further than MARGIN and a little.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -78,11 +78,21 @@ class Guard:
         """Take the robot where it is measured, at rest, as the last setpoint: after connecting, after a stop.
 
         Raises:
-            SafetyError: the measurement is not finite or lies outside the limits.
+            SafetyError: the measurement is not finite or lies outside the limits. Where the arm stands too near to
+                something, the error says that a person has to move it clear by hand.
         """
         state = self._robot.state()
         opening = float(np.clip(state.opening, 0.0, self._rig.gripper.max_opening))
-        self.check_target(np.asarray(state.q, dtype=np.float64), opening)
+        try:
+            self.check_target(np.asarray(state.q, dtype=np.float64), opening)
+        except SafetyError as error:
+            if error.quantity not in ("position", "floor", "workspace", "clearance"):
+                raise
+            raise SafetyError(
+                error.quantity, error.joint, error.value, error.limit,
+                f"the arm cannot be driven from where it stands: {error.what}",
+                "move it clear by hand on the teach pendant (freedrive, or jog it), then start again",
+            ) from None  # fmt: skip
         self._past[:] = state.q
         self._opening = opening
 
@@ -100,7 +110,27 @@ class Guard:
 
     def tip_speed(self, setpoints: Float[np.ndarray, "n 6"]) -> float:
         """m/s; the fastest of the tip on the way from the last setpoint through these."""
-        return self._tip_speed(*self._sampled(setpoints))
+        return self._tip_speed(*self._sampled(self._past, setpoints))
+
+    def check(
+        self,
+        setpoints: Float[np.ndarray, "n 6"],
+        openings: Float[np.ndarray, " n"],
+        stops: Mapping[int, Float[np.ndarray, "m 6"]],
+    ) -> None:
+        """Refuse a motion that must not be sent, from the last setpoint on. Raises SafetyError.
+
+        Args:
+            stops: ways to rest, by how many of the setpoints come before.
+        """
+        self._check_block(setpoints, openings)
+        before = np.concatenate([self._past, setpoints])
+        self._check_motion(self._past, setpoints)
+        self._check_opening_speed(openings)
+        for count, stop in stops.items():
+            if len(stop):
+                self._check_block(stop, np.zeros(len(stop)))
+                self._check_motion(before[count : count + 3], stop)
 
     def send(
         self,
@@ -120,16 +150,7 @@ class Guard:
             SafetyError: a setpoint breaks a limit; nothing of the block was sent.
             StarvedError: see `RealtimeRobot.play`; nothing of the block was sent.
         """
-        whole, hands = setpoints, openings
-        if stop is not None and len(stop):
-            self._check_block(setpoints, openings)
-            whole = np.concatenate([setpoints, stop])
-            hands = np.concatenate([openings, np.full(len(stop), openings[-1] if len(openings) else self._opening)])
-        self._check_block(whole, hands)
-        self._check_rates(whole, hands)
-        frames, seconds = self._sampled(whole)
-        self._check_room(frames[1:])
-        self._check_tip_speed(frames, seconds)
+        self.check(setpoints, openings, {} if stop is None else {len(setpoints): stop})
         if self._realtime is not None:
             if not braking:
                 self._check_force()
@@ -158,10 +179,19 @@ class Guard:
                 "look what it touches; [controller] force_limit in the rig file sets the limit",
             )  # fmt: skip
 
-    def _sampled(self, setpoints: np.ndarray) -> tuple[Float[np.ndarray, "m 7 4 4"], Float[np.ndarray, " k"]]:
-        """Frames at the last setpoint and every STRIDE from there, the end included, and the seconds in between."""
+    def _check_motion(self, past: np.ndarray, setpoints: np.ndarray) -> None:
+        """Rates, room and tip speed of setpoints that follow the three of `past`."""
+        self._check_rates(past, setpoints)
+        frames, seconds = self._sampled(past, setpoints)
+        self._check_room(frames[1:])
+        self._check_tip_speed(frames, seconds)
+
+    def _sampled(
+        self, past: np.ndarray, setpoints: np.ndarray
+    ) -> tuple[Float[np.ndarray, "m 7 4 4"], Float[np.ndarray, " k"]]:
+        """Frames at the end of `past` and every STRIDE from there, the end included, and the seconds in between."""
         rows = np.unique([*range(0, len(setpoints) + 1, STRIDE), len(setpoints)])
-        frames = self._clearance.frames(np.concatenate([self._past[-1:], setpoints])[rows])
+        frames = self._clearance.frames(np.concatenate([past[-1:], setpoints])[rows])
         return frames, np.diff(rows) * SERVO_PERIOD
 
     def _tips(self, frames: np.ndarray) -> Float[np.ndarray, "m 3"]:
@@ -238,12 +268,14 @@ class Guard:
                     "raise the target, or check the table's height and world_T_base in the rig file",
                 )  # fmt: skip
 
-    def _check_rates(self, setpoints: np.ndarray, openings: np.ndarray) -> None:
-        difference = np.concatenate([self._past, setpoints])
+    def _check_rates(self, past: np.ndarray, setpoints: np.ndarray) -> None:
+        difference = np.concatenate([past, setpoints])
         for order, (quantity, unit, limit) in enumerate(self._rates, start=1):
             difference = (difference[1:] - difference[:-1]) / SERVO_PERIOD
             # The first rows of a lower order lie in the past and were checked then.
             self._compare(quantity, unit, difference[3 - order :], limit * (1 + _ROUNDING))
+
+    def _check_opening_speed(self, openings: np.ndarray) -> None:
         steps = np.abs(openings - np.concatenate([[self._opening], openings[:-1]])) / SERVO_PERIOD
         if steps.max(initial=0.0) > MAX_GRIPPER_SPEED * (1 + _ROUNDING):
             fastest = float(steps.max())

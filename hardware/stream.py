@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError, Trajectory
 
 from hardware.base import SERVO_PERIOD, Command, RealtimeRobot, Robot, RobotError, RobotState, SafetyError, StarvedError
 from hardware.clearance import Obstacle
+from hardware.generator import Generator, Motion, Way
 from hardware.safety import FIRST_RUN_SPEED, MAX_GRIPPER_SPEED, Guard
 from resync_robot.core.episode import Timing
 from resync_robot.core.errors import MotionError
@@ -34,24 +35,36 @@ OVERSHOOT = 1e-3
 """rad; 0.8 mm at the tip of the stretched arm."""
 MIN_GRIPPER_SPEED = 0.03
 """m/s of pad opening; the 2F-140 moves no slower."""
-JERK_SHARES = (1.0, 0.999, 0.99, 0.9)
-"""Of the jerk limit, tried in turn: the generator's root finding fails where two kinds of profile meet exactly
-(from rest over 2 a^3 / j^2, for one: 0.16 rad here), and another jerk moves that point away."""
 JUMP_SLACK = 0.05
 """rad by which a target may lie further from the one before than the arm gets at its fastest: lag, and targets that
 are built on the measured pose. Anything further is a mistake of the caller, not a step of a skill."""
 MOST_TICKS = 30_000
 """For one target; 60 s."""
+PIECE = 50
+"""Setpoints that a robot in real time is given at once, 0.1 s, each with a way to rest from there: it brakes as soon
+as that when this process lets go of it or dies, however long the target takes."""
 MAX_LATENESS = 20
 """How often one target may come too late for the robot before that is an error."""
 FIRST_RUN_PACE = 0.25
 """Share of every speed until the motions have been confirmed at a machine. The path is the same, in more time."""
 PACE_MARGIN = 0.8
 """Of the tip's speed limit then, at which a target is given still more time: the guard holds the limit itself."""
+FALLING = 0.99
+"""Share of its excess speed that a target must fall below when it is given more time, to be given still more."""
 STILL = 0.02
 """rad/s below which a settled joint counts as at rest."""
 
 Recorder = Callable[[RobotState, Command], None]
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Setpoints `begin` to `end` (excluded) of a target, the motion at their end, and the way to rest from there."""
+
+    begin: int
+    end: int
+    after: Motion
+    stop: Float[np.ndarray, "m 6"]
 
 
 class Stream:
@@ -92,13 +105,10 @@ class Stream:
         self._record_every = round(1.0 / record_hz / SERVO_PERIOD)
         self._since_record = 0
         self._gripper_step = gripper_speed * SERVO_PERIOD
-        self._planner = Ruckig(6, SERVO_PERIOD)
         self._arm = rig.arm
         self._slow = rig.controller is not None and not rig.controller.full_speed
         self._pace = FIRST_RUN_PACE if self._slow else 1.0
-        self._input = InputParameter(6)
-        self._input.target_acceleration = [0.0] * 6
-        self._trajectory, self._way_to_rest = Trajectory(6), Trajectory(6)
+        self._generator = Generator(rig.arm, self._pace)
         # Stopping from v at jerk j takes the distance v * sqrt(v / j), hence the fastest v for OVERSHOOT.
         self._arrival_limit = self._pace * np.minimum(
             (OVERSHOOT * np.sqrt(rig.arm.jerk_limit)) ** (2.0 / 3.0), rig.arm.velocity_limit
@@ -116,7 +126,7 @@ class Stream:
 
     def _rest(self) -> None:
         here = self._guard.last_sent
-        self._position, self._velocity, self._acceleration = here, np.zeros(6), np.zeros(6)
+        self._motion = Motion(here, np.zeros(6), np.zeros(6))
         self._target = JointTarget(here.copy(), self._guard.last_opening)
         self._target_velocity = np.zeros(6)
 
@@ -150,12 +160,17 @@ class Stream:
                 arm = np.array(target.arm, dtype=np.float64)
                 if not travel:
                     self._check_jump(arm, count * SERVO_PERIOD)
-                setpoints, velocity = self._plan(arm, count)
-                after = [np.array(part) for part in self._trajectory.at_time(len(setpoints) * SERVO_PERIOD)]
-                stop = None if self._realtime is None else self._stop_from(*after)
+                way, setpoints, velocity = self._plan(arm, count)
+                openings = self._openings(target.opening, len(setpoints))
+                pieces = self._pieces(way, len(setpoints))
+                if len(pieces) > 1:
+                    self._guard.check(setpoints, openings, {piece.end: piece.stop for piece in pieces})
                 due = self._clock() if self._realtime is None else self._realtime.due()
                 self.timing = Timing(None, asked, due, time.perf_counter() - begin)
-                self._send(target, setpoints, self._openings(target.opening, len(setpoints)), stop)
+                for piece in pieces:
+                    rows = slice(piece.begin, piece.end)
+                    self._send(target, setpoints[rows], openings[rows], piece.stop)
+                    self._motion = piece.after
             except StarvedError as error:
                 # The arm rests where it braked to; the same target is asked for again from there.
                 self.late += 1
@@ -167,7 +182,6 @@ class Stream:
             except MotionError:
                 self.stop()
                 raise
-            self._position, self._velocity, self._acceleration = after
             self._target, self._target_velocity = JointTarget(arm, float(target.opening)), velocity
             return self._command(target)
         raise RobotError(
@@ -196,7 +210,7 @@ class Stream:
         Raises:
             SafetyError: even braking would break a limit (the floor, say); the robot then gets no more setpoints.
         """
-        setpoints = self._stop_from(self._position, self._velocity, self._acceleration)
+        setpoints = self._generator.to_rest(self._motion)
         if len(setpoints):
             end = JointTarget(setpoints[-1].copy(), self._guard.last_opening)
             try:
@@ -205,34 +219,35 @@ class Stream:
                 self._guard.rest_at(error.q)
         self._rest()
 
-    def _stop_from(self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        """(n, 6) setpoints to rest as fast as the limits allow; none where the arm is at rest already."""
-        if not (np.any(velocity) or np.any(acceleration)):
-            return np.empty((0, 6))
-        plan = self._input
-        plan.control_interface = ControlInterface.Velocity
-        before = self._position, self._velocity, self._acceleration
-        self._position, self._velocity, self._acceleration = position, velocity, acceleration
-        try:
-            self._calculate(np.zeros(6), np.zeros(6), 0.0, self._way_to_rest, pace=1.0)
-        finally:
-            plan.control_interface = ControlInterface.Position
-            self._position, self._velocity, self._acceleration = before
-        count = int(np.ceil(self._way_to_rest.duration / SERVO_PERIOD)) + 1
-        return self._sample(count, self._way_to_rest)
+    def _pieces(self, way: Way, count: int) -> list[_Piece]:
+        """The parts in which `count` setpoints of `way` are sent, each as good as a target of its own."""
+        ends = [count] if self._realtime is None else [*range(PIECE, count, PIECE), count]
+        pieces, begin = [], 0
+        for end in ends:
+            after = way.at(end)
+            stop = np.empty((0, 6)) if self._realtime is None else self._generator.to_rest(after)
+            pieces.append(_Piece(begin, end, after, stop))
+            begin = end
+        return pieces
 
-    def _plan(self, arm: np.ndarray, count: int) -> tuple[Float[np.ndarray, "n 6"], Float[np.ndarray, "6"]]:
-        """Setpoints towards a target over `count` ticks, more where the tip would be too fast, and the target's speed.
-
-        Leaves the trajectory behind them in `_trajectory`.
+    def _plan(self, arm: np.ndarray, count: int) -> tuple[Way, Float[np.ndarray, "n 6"], Float[np.ndarray, "6"]]:
+        """A way to a target, its setpoints over `count` ticks, or more where the tip would be too fast, and the
+        target's speed.
         """
+        before = np.inf
         while True:
             velocity = (arm - self._target.arm) / (count * SERVO_PERIOD)
-            self._calculate(arm, self._arrival(velocity), count * SERVO_PERIOD)
-            setpoints = self._sample(count)
+            way = self._generator.towards(self._motion, arm, self._arrival(velocity), count * SERVO_PERIOD)
+            setpoints = way.setpoints(count)
             excess = self._guard.tip_speed(setpoints) / (PACE_MARGIN * FIRST_RUN_SPEED) if self._slow else 0.0
             if excess <= 1.0 or count >= MOST_TICKS:
-                return setpoints, velocity
+                return way, setpoints, velocity
+            # A trajectory that lasts longer than this ignores the count so far; one that does not, and is no slower
+            # for more time, is fast because of the motion that it begins with, which no time helps.
+            if way.duration <= (count + 1) * SERVO_PERIOD:
+                if excess > FALLING * before:
+                    return way, setpoints, velocity
+                before = excess
             count = min(MOST_TICKS, int(np.ceil(count * max(excess, 1.1))))
 
     def _check_jump(self, arm: np.ndarray, seconds: float) -> None:
@@ -260,42 +275,6 @@ class Stream:
         slower = np.minimum(np.abs(velocity), np.abs(self._target_velocity))
         agree = velocity * self._target_velocity > 0
         return np.where(agree, np.sign(velocity) * np.minimum(slower, self._arrival_limit), 0.0)
-
-    def _calculate(
-        self,
-        arm: np.ndarray,
-        arrival: np.ndarray,
-        at_least: float,
-        into: Trajectory | None = None,
-        pace: float | None = None,
-    ) -> None:
-        """The fastest trajectory at that pace, `at_least` so many s long. Raises MotionError where there is none."""
-        plan, pace = self._input, self._pace if pace is None else pace
-        plan.current_position = self._position.tolist()
-        plan.current_velocity = self._velocity.tolist()
-        plan.current_acceleration = self._acceleration.tolist()
-        plan.target_position = arm.tolist()
-        plan.target_velocity = arrival.tolist()
-        plan.minimum_duration = at_least
-        # The same path in 1 / pace of the time.
-        plan.max_velocity = (pace * self._arm.velocity_limit).tolist()
-        plan.max_acceleration = (pace**2 * self._arm.acceleration_limit).tolist()
-        failure = ""
-        for share in JERK_SHARES:
-            plan.max_jerk = (share * pace**3 * self._arm.jerk_limit).tolist()
-            try:
-                result = self._planner.calculate(plan, into or self._trajectory)
-            except RuckigError as error:
-                failure = str(error).strip().splitlines()[0]
-                continue
-            if result in (Result.Working, Result.Finished):
-                return
-            failure = result.name
-        raise MotionError(f"no trajectory to the target {np.array2string(arm, precision=4)} rad: {failure}")
-
-    def _sample(self, count: int, trajectory: Trajectory | None = None) -> np.ndarray:
-        at_time = (trajectory or self._trajectory).at_time
-        return np.array([at_time(k * SERVO_PERIOD)[0] for k in range(1, count + 1)])
 
     def _openings(self, wanted: float, count: int) -> np.ndarray:
         start = self._guard.last_opening

@@ -101,15 +101,7 @@ class Ur7e(Connected):
 
     def state(self) -> RobotState:
         """The latest measurement. Raises StaleError when the controller has been silent for too long."""
-        now = self._require_link().snapshot()
-        self._require_process()
-        silent = time.monotonic() - float(now["heard"])
-        if silent > self._controller.freshness:
-            raise StaleError(
-                f"the controller has said nothing for {1000 * silent:.0f} ms; allowed: "
-                f"{1000 * self._controller.freshness:.0f} ms",
-                "check the cable and the controller; the robot has been given no more setpoints",
-            )
+        now = self._require_fresh()
         force = self._world_R_base @ now["force"][:3]
         opening = self.gripper.state().opening
         return RobotState(float(now["time"]), now["q"].copy(), now["qd"].copy(), force, opening)
@@ -121,11 +113,6 @@ class Ur7e(Connected):
         if fraction < 0.01:
             raise RobotError("the speed slider stands at zero", "raise it on the teach pendant")
         return min(fraction, 1.0)
-
-    @property
-    def late_ticks(self) -> int:
-        """How often a setpoint went out more than a tick late, since connecting."""
-        return int(self._require_link().words["late_ticks"])
 
     def sent_at(self) -> Float[np.ndarray, " n"]:
         """When each of the last setpoints went out, s of the host's monotonic clock; 65 s of them at most."""
@@ -230,6 +217,19 @@ class Ur7e(Connected):
             raise RobotError("the robot is not connected", "use it as `with Ur7e(rig, gripper) as robot:`")
         return self._link.memory
 
+    def _require_fresh(self) -> np.ndarray:
+        """The latest snapshot. Raises StaleError where it is old, whoever is to blame: controller or link."""
+        now = self._require_link().snapshot()
+        self._require_process()
+        silent = time.monotonic() - float(now["heard"])
+        if silent > self._controller.freshness:
+            raise StaleError(
+                f"the controller has said nothing for {1000 * silent:.0f} ms; allowed: "
+                f"{1000 * self._controller.freshness:.0f} ms",
+                "check the cable and the controller; the robot has been given no more setpoints",
+            )
+        return now
+
     def _require_process(self, wait: float = 0.0) -> None:
         end = "" if self._link is None else self._link.ended(wait)
         if end:
@@ -241,10 +241,12 @@ class Ur7e(Connected):
     def _require_running(self) -> None:
         """Raise whatever keeps the link from sending setpoints."""
         memory = self._require_link()
-        self._require_process()
         fault = Fault(int(memory.words["fault"]))
         if fault is Fault.NONE:
+            # A link that hangs sends nothing and reports no fault either.
+            self._require_fresh()
             return
+        self._require_process()
         if fault is Fault.LINK_LOST:
             # It leaves at once; its exit says the rest.
             self._require_process(1.0)

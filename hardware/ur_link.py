@@ -14,12 +14,14 @@ import os
 import sys
 import threading
 import time
+import traceback
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from hardware.ur_memory import NOT_STARTED, RING, SNAPSHOT, STOPS, Fault, LinkMemory
+from hardware.ur_memory import RING, SNAPSHOT, STOPS, Fault, LinkMemory
 
 PERIOD = 0.002
 KICK_S = 0.02
@@ -27,12 +29,13 @@ KICK_S = 0.02
 VARIABLES = (
     "timestamp", "actual_q", "actual_qd", "actual_TCP_force", "robot_mode", "safety_mode", "runtime_state",
     "robot_status_bits", "safety_status_bits", "speed_scaling", "target_speed_fraction", "payload",
+    "payload_cog",
 )  # fmt: skip
 PLAYING = 2
 LOOKAHEAD, GAIN = 0.1, 300.0
 """s and the proportional gain of servoj: the smoothest that the controller offers without lagging more."""
 LINK_LOST, STILL_RUNNING = 3, 4
-"""Exit codes that ask the driver to end the robot's program."""
+"""Exit codes. After any but 0 the driver ends the robot's program, if one was uploaded."""
 END_S = 2.0
 """How long the client may take to end the program; it waits for ever for a controller that is gone."""
 
@@ -41,6 +44,11 @@ def say(**content: Any) -> None:
     """One line of JSON to the driver."""
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()
+
+
+def apart(one: Sequence[float], other: Sequence[float]) -> float:
+    """The largest difference."""
+    return max(abs(a - b) for a, b in zip(one, other, strict=True))
 
 
 class Link:
@@ -61,6 +69,7 @@ class Link:
 
     def begin(self, settings: dict[str, Any]) -> None:
         """Upload the program, and set and verify what has to be right before anything moves."""
+        self._words["uploaded"] = 1
         if not self.control.reuploadScript():
             raise RuntimeError("the controller did not take the control program")
         limit = time.monotonic() + 3.0
@@ -77,12 +86,14 @@ class Link:
         if not self.control.setPayload(payload, centre) or not self.control.setTcp(tcp):
             raise RuntimeError("the controller did not take payload and TCP")
         got = self.control.getTCPOffset()
-        if max(abs(a - b) for a, b in zip(got, tcp, strict=True)) > 1e-6:
+        if apart(got, tcp) > 1e-6:
             raise RuntimeError(f"the controller has the TCP {got} instead of {tcp}")
-        limit = time.monotonic() + 1.0
-        while abs(self.receive.getPayload() - payload) > 1e-3:
+        wanted, limit = [payload, *centre], time.monotonic() + 1.0
+        while apart(got := [self.receive.getPayload(), *self.receive.getPayloadCog()], wanted) > 1e-3:
             if time.monotonic() > limit:
-                raise RuntimeError(f"the controller has a payload of {self.receive.getPayload()} kg, not {payload}")
+                raise RuntimeError(
+                    f"the controller has the payload {got} instead of {wanted} (kg, and its centre in m)"
+                )
             time.sleep(0.005)
         if not self.control.setWatchdog(settings["watchdog"]):
             raise RuntimeError("the controller did not take the watchdog")
@@ -141,7 +152,6 @@ class Link:
         if pause > 0:
             time.sleep(pause)
         elif pause < -PERIOD:
-            self._words["late_ticks"] += 1
             return time.monotonic()
         return due
 
@@ -196,27 +206,34 @@ class Link:
 def main() -> None:
     settings = json.loads(sys.stdin.readline())
     memory = LinkMemory(int(settings["memory"]))
-    code = NOT_STARTED
     try:
         link = Link(settings, memory)
-        code = STILL_RUNNING
         link.begin(settings)
+        link.look()
     # The client raises whatever its libraries do; the driver makes one sentence of it.
     except Exception as error:
         say(error=str(error).strip() or type(error).__name__)
-        leave(code)
-    link.look()
-    threading.Thread(target=link.watch_driver, daemon=True).start()
-    say(ready=True)
+        leave(STILL_RUNNING)
+    try:
+        threading.Thread(target=link.watch_driver, daemon=True).start()
+        say(ready=True)
+        leave(serve(link, memory))
+    except Exception:
+        traceback.print_exc()
+        leave(STILL_RUNNING)
+
+
+def serve(link: Link, memory: LinkMemory) -> int:
+    """Send setpoints to the end; the exit code."""
     fault = link.run()
     memory.words["fault"] = int(fault)
     if fault is Fault.LINK_LOST:
-        leave(LINK_LOST)
+        return LINK_LOST
     if fault is Fault.DRIVER_GONE:
         link.end_program()
-        leave(0)
+        return 0
     link.watch_after(fault)
-    leave(0 if fault is Fault.STOPPED else STILL_RUNNING)
+    return 0 if fault is Fault.STOPPED else STILL_RUNNING
 
 
 def leave(code: int) -> None:

@@ -1,8 +1,8 @@
 """Memory that the driver shares with the process that talks to the arm; neither ever waits for the other.
 
 Each word has one writer. Setpoints travel in a ring; every block comes with its way to rest. `sent_at` is the host's
-monotonic time of the last RING setpoints. A snapshot of the robot is guarded by a counter that is odd while it is
-being written.
+monotonic time of the last RING setpoints. Of two snapshots of the robot one is whole while the other is written: a
+reader finds one even where the writer died in the middle of it.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ RING = 1 << 15
 """Setpoints; 65 s."""
 STOPS = 4
 LONGEST_STOP = 4096
-NOT_STARTED = 1
-"""Exit code of a link that has uploaded nothing."""
 JOINTS = ("f8", 6)
 
 SNAPSHOT = np.dtype(
@@ -40,7 +38,7 @@ LAYOUT = np.dtype(
     [
         ("write", "i8"), ("epoch", "i8"), ("finish", "i8"),  # written by the driver
         ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("fault", "i8"),
-        ("sent", "i8"), ("late_ticks", "i8"), ("sequence", "i8"), ("snapshot", SNAPSHOT),
+        ("uploaded", "i8"), ("sent", "i8"), ("sequence", "i8"), ("snapshots", SNAPSHOT, 2),
         ("sent_at", "f8", RING), ("ring", "f8", (RING, 6)), ("tags", "i8", RING), ("stops", STOP, STOPS),
     ]
 )  # fmt: skip
@@ -78,8 +76,7 @@ class LinkMemory:
     def publish(self, snapshot: np.ndarray) -> None:
         """Replace the snapshot (one element of SNAPSHOT)."""
         w = self.words
-        w["sequence"] += 1
-        w["snapshot"] = snapshot
+        w["snapshots"][(int(w["sequence"]) + 1) % 2] = snapshot
         w["sequence"] += 1
 
     def snapshot(self) -> np.ndarray:
@@ -87,6 +84,7 @@ class LinkMemory:
         w = self.words
         while True:
             before = int(w["sequence"])
-            copy = w["snapshot"].copy()
-            if before % 2 == 0 and int(w["sequence"]) == before:
+            copy = w["snapshots"][before % 2].copy()
+            # Once more only where the writer has come round meanwhile, so never where it is dead.
+            if int(w["sequence"]) == before:
                 return copy

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from hardware.base import RobotError
-from hardware.ur_memory import NOT_STARTED, LinkMemory
+from hardware.ur_memory import LinkMemory
 
 _log = logging.getLogger(__name__)
 
@@ -78,7 +78,7 @@ class LinkProcess:
         code = self.process.poll()
         if code is None:
             return ""
-        if code not in (0, NOT_STARTED) and not self._looked_after:
+        if code != 0 and self.memory.words["uploaded"] and not self._looked_after:
             self._looked_after = True
             self._stop_program()
         return f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"

@@ -272,7 +272,7 @@ def _episode(
             writer,
             devices.clock,
             devices.truth,
-            lambda: [c.capture() for c in standing],
+            [camera.capture for camera in standing],
             live=isinstance(devices.robot, RealtimeRobot),
             confirm=lambda step: _may_run(config, str(step)),
             tell=say,
@@ -286,25 +286,26 @@ def _episode(
             devices.resume()
 
         model = doubting(model)
-        world = kind(
-            devices.robot,
-            devices.cameras,
-            rig,
-            task.objects,
-            live_state=devices.truth,
-            witness=recorder,
-            on_stop=on_stop,
-            abstraction=model.abstraction,
-            segmenter=segmenter,
-        )
-        world.stream.recorders.append(recorder.on_stream)
-
         say(f"Goal: {goal}")
         try:
+            world = kind(
+                devices.robot,
+                devices.cameras,
+                rig,
+                task.objects,
+                live_state=devices.truth,
+                witness=recorder,
+                on_stop=on_stop,
+                abstraction=model.abstraction,
+                segmenter=segmenter,
+            )
+            world.stream.recorders.append(recorder.on_stream)
             result = plan_f(world, model, task.goal, listener=recorder)
         except (PerceptionError, MotionError, RobotError) as error:
             # One episode's trouble is recorded with it and leaves the others their turn.
             recorder.on_end(End.FAULT, error.what)
+            if error.fix:
+                say(f"  -> {error.fix}")
             result = Result(End.FAULT, error.what, (), (), task.initial)
         if devices.truth is None:
             reached = result.success

@@ -6,7 +6,6 @@ Simulated or real, this is the same code; the robot and the cameras behind it ar
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from typing import Protocol
 
@@ -57,7 +56,7 @@ class Witness(Protocol):
         ...
 
     def on_timing(self, timing: Timing) -> None:
-        """When a target was asked for and sent, and how old the pictures behind it were."""
+        """When a target was asked for and sent, and how old the pictures were that were looked at before it."""
         ...
 
     def on_doubt(self, atoms: Mapping[Atom, float], looks: int) -> None:
@@ -145,27 +144,30 @@ class DeployedWorld:
         return seen
 
     def act(self, target: JointTarget, duration: float) -> None:
+        looked, self._looked = self._looked, []
         try:
             self.stream.run(target, duration)
         except ProtectiveStopError as error:
             self._resume(error)
+            raise InterruptedMotionError("the robot made a protective stop, which was acknowledged") from error
         if self._witness and self.stream.timing is not None:
-            self._witness.on_timing(replace(self.stream.timing, picture=min(self._looked, default=None)))
-        self._looked.clear()
+            self._witness.on_timing(replace(self.stream.timing, picture=min(looked, default=None)))
 
     def _resume(self, error: ProtectiveStopError) -> None:
-        """Have the stop acknowledged, and begin again where the arm is measured. Raises, whatever happens."""
+        """Have the stop acknowledged, and begin again where the arm is measured. Raises it where nobody can."""
         if self._on_stop is None:
             raise error
         self._on_stop(error)
         self.stream.restart()
-        raise InterruptedMotionError("the robot made a protective stop, which was acknowledged") from error
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
         self.robot.limit_effort(limit)
         if limit is None:
             # A capped arm may stand off its last command; begin again from where it is.
-            self.stream.stop()
+            try:
+                self.stream.stop()
+            except ProtectiveStopError as error:
+                self._resume(error)
 
     def perceive(self) -> State:
         """Scan, unless the only news since the last look is that the hand closed on a block it had seen, alone."""
@@ -178,8 +180,7 @@ class DeployedWorld:
         try:
             return self._look_around()
         except ProtectiveStopError as stop:
-            with suppress(InterruptedMotionError):
-                self._resume(stop)
+            self._resume(stop)
             return self._look_around()
 
     def _look_around(self) -> State:

@@ -30,8 +30,9 @@ class Recorder(Listener):
     Args:
         clock: seconds on the robot's clock now.
         truth: the simulator's own state, recorded under that name for comparison; None on a real robot.
-        look: pictures to keep once every `look_every` seconds, from the cameras that stand around.
-        live: time goes on by itself, so `look` and `truth` are asked on the recording's thread, beside the stream.
+        cameras: each takes a picture to keep once every `look_every` seconds: those that stand around.
+        live: time goes on by itself, so `cameras` and `truth` are asked on the recording's thread, beside the stream;
+            not while it is still busy with the time before.
         confirm: asked before each step.
         tell: called with a line for people at every plan and skill.
     """
@@ -41,15 +42,15 @@ class Recorder(Listener):
         writer: EpisodeWriter,
         clock: Callable[[], float],
         truth: Callable[[], State] | None = None,
-        look: Callable[[], Sequence[CameraFrame]] | None = None,
+        cameras: Sequence[Callable[[], CameraFrame]] = (),
         look_every: float = 1.0,
         live: bool = False,
         confirm: Callable[[GroundOperator], bool] = lambda step: True,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         self._writer, self._clock, self._truth, self._confirm = writer, clock, truth, confirm
-        self._look, self._look_every, self._next_look = look, look_every, 0.0
-        self._live = live
+        self._cameras, self._look_every, self._next_look = cameras, look_every, 0.0
+        self._live, self._looking = live, False
         self._steps: tuple[GroundOperator, ...] = ()
         self._reason = ""
         self._tell = tell
@@ -59,8 +60,9 @@ class Recorder(Listener):
         w = self._writer
         w.joints(state.time, state.q, state.qd, state.opening, command.sent, command.requested)
         w.tip_force(state.time, state.tip_force)
-        if self._look and state.time >= self._next_look:
+        if self._cameras and state.time >= self._next_look and not self._looking:
             self._next_look = state.time + self._look_every
+            self._looking = True
             if self._live:
                 w.defer(self._look_around)
             else:
@@ -69,12 +71,17 @@ class Recorder(Listener):
     def _look_around(self) -> None:
         """A camera in trouble is the business of whoever needs it; the recording goes on without its pictures."""
         try:
-            for frame in self._look() if self._look else ():
-                self._picture(frame)
+            for capture in self._cameras:
+                try:
+                    self._picture(capture())
+                except ResyncError as error:
+                    _log.warning("a picture is missing from the recording: %s", error.what)
             if self._truth:
                 self._writer.truth(self._clock(), self._truth())
         except ResyncError as error:
-            _log.warning("a look around is missing from the recording: %s", error.what)
+            _log.warning("the truth is missing from the recording: %s", error.what)
+        finally:
+            self._looking = False
 
     def on_look(self, part: Cutout) -> None:
         """What a skill looked at while it moved; bit by bit, for a replay."""

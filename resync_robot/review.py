@@ -62,13 +62,12 @@ def review(config: ReviewConfig) -> None:
 
 
 def _mend(torn: Path, out: Path) -> None:
-    from resync_robot.core.episode import mend_episode, read_episode
+    from resync_robot.core.episode import mend_episode
     from resync_robot.progress import say
 
-    damage = read_episode(torn).damage
-    mended = mend_episode(torn, out)
-    say(f"{torn}: {damage or 'nothing is wrong with it'}.")
-    say(f"{out} holds the first {mended.duration:.1f} s. Review:  resync-robot review {out}")
+    found = mend_episode(torn, out)
+    say(f"{torn}: {found.damage or 'nothing is wrong with it'}.")
+    say(f"{out} holds the first {found.duration:.1f} s. Review:  resync-robot review {out}")
 
 
 def _has_display() -> bool:

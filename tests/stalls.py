@@ -4,11 +4,26 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Self
 
 MOST_S = 0.1
 """What a driver's limits are made to bear with room to spare."""
+
+
+class LimitBrokenError(AssertionError):
+    """Something was sent that must never be, however late the machine was."""
+
+
+@contextmanager
+def never_excused() -> Iterator[None]:
+    """What fails in here has failed, whatever the machine did meanwhile."""
+    try:
+        yield
+    except AssertionError as error:
+        raise LimitBrokenError(str(error)) from error
 
 
 class Stalls:

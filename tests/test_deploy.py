@@ -6,10 +6,12 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from resync_robot import cli, deploy
+from hardware import safety
+from resync_robot import cli, deploy, deployed_world
 from resync_robot.core.episode import EventKind, read_episode
 from resync_robot.core.errors import ConfigError, RenderError
 from resync_robot.core.library import save_library
@@ -127,6 +129,32 @@ def test_a_dry_run_looks_plans_records_and_moves_no_skill(
     assert episode.meta.scenario == "s1" and episode.meta.goal == "On(b1, b0)"
     assert episode.meta.library_hash == given_library().content_hash
     assert next(episode.plans()).steps == ("Pick(r, b1)", "Insert(r, b1, b0)")
+
+
+def test_an_arm_that_stands_where_it_cannot_be_driven_leaves_the_other_episodes_their_turn(
+    renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    margins = iter([1.0])
+
+    class First(deployed_world.OracleWorld):
+        """In the first episode the arm is too near to something."""
+
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            with monkeypatch.context() as m:
+                m.setattr(safety, "MARGIN", next(margins, safety.MARGIN))
+                super().__init__(*args, **kwargs)
+
+    monkeypatch.setattr(deployed_world, "OracleWorld", First)
+    out = tmp_path / "run"
+    args = ["--library", str(library), "--perception", "oracle", "--dry-run", "--episodes", "2", "--out", str(out)]
+    assert cli.main(["deploy", *args]) == 0
+    shown = capsys.readouterr().out
+    assert "by hand on the teach pendant" in shown
+    assert "Episode 1/2: failed (fault: the arm cannot be driven from where it stands" in shown
+    assert "Episode 2/2: failed (stopped" in shown
+    first, second = (read_episode(path) for path in episodes(out))
+    assert [e.kind for e in first.events()] == [EventKind.GIVE_UP]
+    assert next(second.plans()).steps
 
 
 def test_without_a_vulkan_device_physics_goes_on_and_pictures_are_one_error(library: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from hardware.base import ProtectiveStopError
 from hardware.sim import SimRobot
 from perception.catalogue import Catalogue
 from perception.naming import MissingObjectsError
@@ -15,7 +16,7 @@ from perception.scan import Scan
 from resync_robot import deployed_world
 from resync_robot.core import spatial
 from resync_robot.core.episode import Timing
-from resync_robot.core.errors import PerceptionError, UnknownNameError
+from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Object, Predicate
@@ -130,6 +131,43 @@ def test_every_target_says_how_old_the_pictures_behind_it_are(world: OracleWorld
     assert [t.picture for t in timings] == [1.25, None]
     assert timings[0].asked <= timings[0].due < timings[1].due
     assert all(0 < t.computed < 1 for t in timings)
+
+
+def stopping(*args: object) -> None:
+    raise ProtectiveStopError("the robot made a protective stop")
+
+
+def test_a_protective_stop_is_acknowledged_wherever_it_surfaces(
+    world: OracleWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[ProtectiveStopError] = []
+    world._on_stop = asked.append
+    monkeypatch.setattr(world.stream, "run", stopping)
+    monkeypatch.setattr(world.stream, "stop", stopping)
+    with pytest.raises(InterruptedMotionError):
+        world.act(world.stream.target, 0.02)
+    # The skill has ended, and nothing is interrupted.
+    world.limit_effort(None)
+    assert len(asked) == 2
+    world._on_stop = None
+    for move in (lambda: world.act(world.stream.target, 0.02), lambda: world.limit_effort(None)):
+        with pytest.raises(ProtectiveStopError):
+            move()
+
+
+def test_pictures_behind_a_target_that_was_refused_are_not_counted_for_the_next(
+    world: OracleWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timings: list[Timing] = []
+    world._witness = Told(on_timing=timings.append)
+    look = world.observe().look
+    assert look is not None
+    look("side", WINDOW, 16)
+    with monkeypatch.context() as m, pytest.raises(ProtectiveStopError):
+        m.setattr(world.stream, "run", stopping)
+        world.act(world.stream.target, 0.02)
+    world.act(world.stream.target, 0.02)
+    assert [t.picture for t in timings] == [None]
 
 
 STRIPED = Predicate("Striped", (BLOCK,))

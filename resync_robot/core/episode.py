@@ -10,7 +10,7 @@
 | /atoms | text of each atom -> probability |
 | /plan | steps, index of the one under way, why it was planned |
 | /event | scan, skill start and end, replan, give-up, goal, stop |
-| /timing | of each target: exposure of what it was decided on, asked, first setpoint due, seconds of computing |
+| /timing | of each target: exposure of what was looked at before it, asked, first setpoint due, seconds of computing |
 | /camera/NAME/info | intrinsics and pose |
 | /camera/NAME/{colour,depth} | sensor_msgs/CompressedImage: JPEG, and 16-bit PNG (unit 1e-4 m, 0 = nothing) |
 | /camera/NAME/window | the same as PNG: the parts that a skill looked at while it moved |
@@ -42,7 +42,7 @@ from mcap.records import Channel, Message
 from resync_robot.core import ros_messages
 from resync_robot.core.errors import EpisodeError, ResyncError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
-from resync_robot.core.mcap_file import read_whole, write_whole
+from resync_robot.core.mcap_file import WholeRecords, read_whole, write_whole
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import TYPES
@@ -142,7 +142,8 @@ class Timing:
     """Of one target, on the robot's clock in s.
 
     Attributes:
-        picture: when the oldest picture was exposed that the target was decided on; None where there was none.
+        picture: when the oldest picture was exposed that was looked at since the target before; None where there was
+            none. A policy that thinks beside the motion decides on it one decision later.
         asked: when it was handed to the stream; `due`: when its first setpoint was to be sent.
         computed: s of computing in between.
     """
@@ -195,11 +196,36 @@ def read_episode(path: Path) -> Episode:
     Raises:
         EpisodeError: no such file, no MCAP, no recording of this program, or of another format version.
     """
-    messages: dict[str, list[tuple[float, bytes]]] = {}
+    return _episode_of(path, _records_of(path))
+
+
+def mend_episode(path: Path, out: Path) -> Episode:
+    """Copy what is whole of a torn recording to `out`, which every reader takes.
+
+    Returns:
+        The recording as it was found: `damage` is what the copy is without.
+
+    Raises:
+        EpisodeError: as `read_episode`, or `out` exists or cannot be written.
+    """
+    whole = _records_of(path)
+    found = _episode_of(path, whole)
     try:
-        whole = read_whole(path)
+        write_whole(whole.records, out)
+    except OSError as error:
+        raise EpisodeError(f"cannot write {out}: {error.strerror}", "give another file with --mend") from None
+    return found
+
+
+def _records_of(path: Path) -> WholeRecords:
+    try:
+        return read_whole(path)
     except OSError as error:
         raise EpisodeError(f"cannot read the recording {path}: {error.strerror}", "give a file *.mcap") from None
+
+
+def _episode_of(path: Path, whole: WholeRecords) -> Episode:
+    messages: dict[str, list[tuple[float, bytes]]] = {}
     topics: dict[int, str] = {}
     for record in whole.records:
         if isinstance(record, Channel):
@@ -363,17 +389,3 @@ def _number(value: Any) -> float:
 def _vector(value: Any, *shape: int) -> np.ndarray:
     """An array of the given shape; null becomes NaN. Raises ValueError or TypeError."""
     return np.array(value, dtype=np.float64).reshape(shape)
-
-
-def mend_episode(path: Path, out: Path) -> Episode:
-    """Copy what is whole of a torn recording to `out`, which every reader takes; the copy.
-
-    Raises:
-        EpisodeError: as `read_episode`, or `out` exists or cannot be written.
-    """
-    read_episode(path)
-    try:
-        write_whole(read_whole(path).records, out)
-    except OSError as error:
-        raise EpisodeError(f"cannot write {out}: {error.strerror}", "give another file with --mend") from None
-    return read_episode(out)

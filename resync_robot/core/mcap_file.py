@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import zstandard
 from mcap.records import Channel, Chunk, Footer, Message, Schema
@@ -48,19 +49,34 @@ def read_whole(path: Path) -> WholeRecords:
 
 
 def write_whole(records: list[Schema | Channel | Message], path: Path) -> None:
-    """A file that every reader takes. Raises OSError, FileExistsError where there is one already."""
+    """A file that every reader takes; records of schemas or channels that nobody declared are left out.
+
+    Raises:
+        OSError: it cannot be written, FileExistsError where there is one already. Nothing half written is left behind.
+    """
     with path.open("xb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library="resync-robot")
-        schemas, channels = {0: 0}, {}
-        for r in records:
-            if isinstance(r, Schema):
-                schemas.setdefault(r.id, writer.register_schema(r.name, r.encoding, r.data))
-            elif isinstance(r, Channel) and r.id not in channels:
-                channels[r.id] = writer.register_channel(r.topic, r.message_encoding, schemas[r.schema_id], r.metadata)
-            elif isinstance(r, Message):
-                writer.add_message(channels[r.channel_id], r.log_time, r.data, r.publish_time, r.sequence)
-        writer.finish()
+        try:
+            _write(records, file)
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+
+
+def _write(records: list[Schema | Channel | Message], file: BinaryIO) -> None:
+    writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+    writer.start(profile="ros2", library="resync-robot")
+    schemas, channels = {0: 0}, dict[int, int]()
+    for r in records:
+        if isinstance(r, Schema):
+            if r.id not in schemas:
+                schemas[r.id] = writer.register_schema(r.name, r.encoding, r.data)
+        elif isinstance(r, Channel):
+            if r.id not in channels and r.schema_id in schemas:
+                schema = schemas[r.schema_id]
+                channels[r.id] = writer.register_channel(r.topic, r.message_encoding, schema, r.metadata)
+        elif r.channel_id in channels:
+            writer.add_message(channels[r.channel_id], r.log_time, r.data, r.publish_time, r.sequence)
+    writer.finish()
 
 
 def _unpack(chunk: Chunk) -> list[Schema | Channel | Message]:

@@ -54,7 +54,7 @@ class Skill:
     Attributes:
         start: called with the ground objects and the first observation, returns a fresh policy.
         rate_hz: how often `step` wants to be called.
-        time_limit_s: after this the executive stops it with TIMEOUT.
+        time_limit_s: after so many s of control steps, at full speed, the executive stops it with TIMEOUT.
         live_state: the skill follows the objects while it runs, and so needs their poses at every step.
         effort_limit: (6,) N m that the arm may use while it runs, or None for the arm's own limits.
     """

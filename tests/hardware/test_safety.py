@@ -16,7 +16,7 @@ import hardware
 from hardware.base import SERVO_PERIOD, SafetyError
 from hardware.clearance import Obstacle
 from hardware.safety import FIRST_RUN_SPEED, MAX_GRIPPER_SPEED, Guard, heights
-from hardware.stream import Stream
+from hardware.stream import FIRST_RUN_PACE, PACE_MARGIN, Stream
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import load_rig
@@ -215,6 +215,15 @@ def test_parts_of_the_arm_do_not_meet(guard, robot, rig):
     assert robot.sent == []
 
 
+def test_an_arm_that_stands_too_near_has_to_be_moved_by_hand(perfect_robot, rig):
+    folded = rig.arm.home.copy()
+    folded[4] = -3.0
+    with pytest.raises(SafetyError, match="from where it stands") as caught:
+        Guard(perfect_robot(folded), rig)
+    assert caught.value.quantity == "clearance"
+    assert "by hand on the teach pendant" in caught.value.fix
+
+
 def test_only_the_hand_comes_near_an_obstacle(guard, rig):
     tip = rig.tip_pose(rig.arm.home)
     at_tip = Obstacle("box", spatial.transform(None, tip[:3, 3]), np.array([0.2, 0.2, 0.05]))
@@ -245,11 +254,33 @@ def test_until_it_is_confirmed_the_tip_is_slow_and_gets_there(perfect_robot, spe
     stream = Stream(robot, rig)
     turn(stream, rig, speed, 0.5)
     stream.settle(1e-4)
-    assert tip_speeds(robot, rig).max() <= FIRST_RUN_SPEED
+    speeds = tip_speeds(robot, rig)
+    assert speeds.max() <= FIRST_RUN_SPEED
+    # As long as a quarter of full speed takes, or the way at that speed, and settling.
+    fastest = max(0.5 / FIRST_RUN_PACE, speeds.sum() * SERVO_PERIOD / (PACE_MARGIN * FIRST_RUN_SPEED))
+    assert len(robot.sent) * SERVO_PERIOD < 2.0 * fastest + 1.0
     np.testing.assert_allclose(robot.sent[-1][0], rig.arm.home[0] + 0.5 * speed, atol=1e-3)
     confirmed = perfect_robot(rig.arm.home)
     turn(Stream(confirmed, CONFIRMED), CONFIRMED, speed, 0.5)
     assert len(robot.sent) > 2 * len(confirmed.sent)
+
+
+@pytest.mark.parametrize("duration", [0.01, 0.02, 0.03])
+def test_until_it_is_confirmed_more_time_is_given_as_long_as_it_helps(perfect_robot, duration):
+    """Its tip is as fast as it may be and gains speed yet, when the next target comes: no more time changes that."""
+    rig = limited(full_speed=False)
+    robot = perfect_robot(rig.arm.home)
+    stream = Stream(robot, rig)
+    goal = rig.arm.home + 1.5 * np.eye(6)[0]
+    for _ in range(200):
+        if np.allclose(stream.target.arm, goal) and np.allclose(robot.sent[-1], goal):
+            break
+        stream.run(JointTarget(goal, 0.1), duration, travel=True)
+    np.testing.assert_allclose(robot.sent[-1], goal, atol=1e-9)
+    speeds = tip_speeds(robot, rig)
+    assert PACE_MARGIN * FIRST_RUN_SPEED < speeds.max() <= FIRST_RUN_SPEED
+    way = speeds.sum() * SERVO_PERIOD
+    assert len(robot.sent) * SERVO_PERIOD < 2.0 * way / (PACE_MARGIN * FIRST_RUN_SPEED)
 
 
 def test_until_it_is_confirmed_the_guard_itself_refuses_a_fast_tip(perfect_robot):

@@ -15,8 +15,9 @@ from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from tests.emulators import RIG_FILE
-from tests.hardware.adversary import KINDS, assert_nothing_out_of_limits, attack
+from tests.hardware.adversary import KINDS, MOVES, TAKEN, assert_nothing_out_of_limits, attack, starts
 
+STARTS = starts(load_rig(RIG_FILE))
 FEW = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
@@ -240,10 +241,21 @@ def test_no_target_of_a_hundred_thousand_adversarial_ones_is_sent(perfect_robot,
 
 def attacked(perfect_robot, kinds, seed):
     rig, rng = load_rig(RIG_FILE), np.random.default_rng(seed)
-    robot = perfect_robot(rig.arm.home)
+    start = list(STARTS.values())[seed % len(STARTS)]
+    robot = perfect_robot(start)
     stream = Stream(robot, rig)
-    taken = [kind for kind in kinds if attack(stream, rig, kind, rng)]
-    assert not {"not a number", "wrong length", "opening", "duration"} & set(taken)
+    answers = [(kind, attack(stream, rig, kind, rng)) for kind in kinds]
+    assert not {"not a number", "wrong length", "opening", "duration"} & {kind for kind, was in answers if was == TAKEN}
     if robot.sent:
-        assert_nothing_out_of_limits(robot.sent, rig)
+        assert_nothing_out_of_limits(robot.sent, rig, start)
         assert all(0.0 <= opening <= rig.gripper.max_opening for opening in robot.openings)
+    return [was for _, was in answers]
+
+
+@pytest.mark.parametrize("quantity", [q for q in STARTS if q != "home"])
+def test_where_a_limit_begins_the_arm_moves_and_is_kept_from_it(perfect_robot, quantity):
+    # Not for long at a time: most of what is taken leads away.
+    seeds = range(list(STARTS).index(quantity), 20 * len(STARTS), len(STARTS))
+    answers = [was for seed in seeds for was in attacked(perfect_robot, MOVES * 4, seed)]
+    assert answers.count(quantity) >= 20
+    assert answers.count(TAKEN) >= 100

@@ -278,8 +278,9 @@ def test_a_dropped_link_is_one_error_one_upload_and_no_zombie(machine: Emulator,
         error = during_motion(robot, rig, lambda: machine.call(machine.drop_link))
         assert isinstance(error, StaleError)
         assert wait_for(lambda: machine.controller.program is None)
-        assert process.poll() is not None, "reaped, not left as a zombie"
         time.sleep(0.5)
+    # The client may hang in its attempts to reconnect, for longer than the driver waits.
+    assert process.poll() is not None, "reaped, not left as a zombie"
     assert machine.controller.uploads == 1
     assert machine.controller.program is None
     assert is_still(machine)
@@ -368,7 +369,7 @@ def test_a_controller_that_keeps_another_payload_is_not_driven(
     machine: Emulator, robot: Ur7e, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(type(machine.controller), "payload", property(lambda c: 0.3, lambda c, v: None), raising=False)
-    with pytest.raises(RobotError, match=r"payload of 0\.3 kg, not 1\.2"):
+    with pytest.raises(RobotError, match=r"payload \[0\.3, .* instead of \[1\.2"):
         robot.connect()
     assert machine.controller.wire == []
     assert wait_for(lambda: machine.controller.program is None)

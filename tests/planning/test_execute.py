@@ -37,6 +37,8 @@ class Kitchen:
 
     state: State
     time: float = 0.0
+    pace: float = 1.0
+    """Share of full speed; each control step takes the longer."""
     log: list[str] = field(default_factory=list)
     wanted: Callable[[State], State] | None = None
 
@@ -45,7 +47,7 @@ class Kitchen:
         return Observation(self.time, np.zeros(6), np.zeros(6), 0.0, np.zeros(3), self.state)
 
     def act(self, target: JointTarget, duration: float) -> None:
-        self.time += duration
+        self.time += duration / self.pace
         self.log.append(f"act {duration}")
         if self.wanted:
             self.state, self.wanted = self.wanted(self.state), None
@@ -362,6 +364,17 @@ def test_a_skill_that_never_ends_is_stopped_at_its_time_limit() -> None:
     outcome = run_skill(world, ground)
     assert outcome.ending is Ending.TIMEOUT and not outcome.done
     assert 2.0 < world.time < 2.3
+
+
+@pytest.mark.parametrize(("outcome", "ending"), [(Outcome(Ending.DONE), Ending.DONE), (None, Ending.TIMEOUT)])
+def test_the_limit_counts_control_steps_whatever_the_pace(outcome: Outcome | None, ending: Ending) -> None:
+    """At 2.5 % of full speed, as in a first run with the slider at 10 %, two steps of 0.1 s take 8 s."""
+    world = kitchen()
+    world.pace = 0.025
+    policy = Toy(world, nothing(A), outcome)
+    skill = Skill("Wipe", (CUP,), lambda objects, first: policy, 10.0, 2.0)
+    assert run_skill(world, skill.ground((A,))).ending is ending
+    assert policy.steps == (3 if outcome else 21)
 
 
 def test_a_skill_gets_its_rate_its_effort_and_live_poses_and_gives_the_effort_back() -> None:

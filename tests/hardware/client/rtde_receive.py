@@ -1,0 +1,48 @@
+"""In place of ur-rtde: a controller in good order, at rest."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from rtde_control import told
+
+Q = [float(x) for x in os.environ["CLIENT_Q"].split()]
+
+
+class RTDEReceiveInterface:
+    def __init__(self, address: str, frequency: float, variables: list[str]) -> None:
+        pass
+
+    def isConnected(self) -> bool:
+        return True
+
+    def getTimestamp(self) -> float:
+        return time.monotonic()
+
+    def getActualQ(self) -> list[float]:
+        return Q
+
+    def getActualQd(self) -> list[float]:
+        return [0.0] * 6
+
+    def getActualTCPForce(self) -> list[float]:
+        return [0.0] * 6
+
+    def getRobotMode(self) -> int:
+        return 7
+
+    def getSafetyMode(self) -> int:
+        return 1
+
+    def getRuntimeState(self) -> int:
+        return 2
+
+    def getSpeedScaling(self) -> float:
+        return 1.0
+
+    def getPayload(self) -> object:
+        return told["payload"]
+
+    def getPayloadCog(self) -> object:
+        return told["centre"]

@@ -1,0 +1,181 @@
+"""The link's process and the driver around it, with a client that does what the test says: no controller is needed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hardware.base import Connected, GripperState, RobotError, StaleError
+from hardware.stream import PIECE, Stream
+from hardware.ur7e import Ur7e
+from hardware.ur_memory import SNAPSHOT, LinkMemory
+from hardware.ur_process import LinkProcess
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import Rig
+from tests import emulators
+from tests.hardware.adversary import assert_nothing_out_of_limits
+
+CLIENT = Path(__file__).parent / "client"
+
+
+class Hand(Connected):
+    """A gripper that is wherever it is sent."""
+
+    opening = 0.1
+
+    def connect(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def state(self) -> GripperState:
+        return GripperState(self.opening, object_detected=False)
+
+    def move(self, opening: float) -> None:
+        self.opening = opening
+
+
+class Lab:
+    """Drivers with the stand-in for their client, and what that was sent."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._log = folder / "sent"
+        monkeypatch.syspath_prepend(CLIENT)
+        monkeypatch.setenv("CLIENT_LOG", str(self._log))
+        monkeypatch.setenv("CLIENT_Q", " ".join(map(str, self.rig(5.0).arm.home)))
+        self._monkeypatch = monkeypatch
+        self.stopped: list[str] = []
+        self.drivers: list[Ur7e] = []
+
+    @staticmethod
+    def rig(freshness: float) -> Rig:
+        """With slow first runs confirmed, and time enough for a busy machine."""
+        return emulators.rig_at("127.0.0.1", freshness=freshness, lead=0.02)
+
+    def connect(self, fault: str = "", freshness: float = 5.0) -> Ur7e:
+        """A driver whose link has begun."""
+        self._monkeypatch.setenv("CLIENT_FAULT", fault)
+        driver = Ur7e(self.rig(freshness), Hand())
+        driver._link = LinkProcess("127.0.0.1", driver._settings(), lambda: self.stopped.append("program"))
+        self.drivers.append(driver)
+        return driver
+
+    def lines(self) -> list[str]:
+        return self._log.read_text().splitlines()
+
+    def wire(self) -> list[np.ndarray]:
+        return [np.array([float(x) for x in line.split()]) for line in self.lines() if line != "end"]
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
+    lab = Lab(tmp_path, monkeypatch)
+    yield lab
+    for driver in lab.drivers:
+        driver.close()
+
+
+def turned(rig: Rig, angle: float) -> JointTarget:
+    q = rig.arm.home.copy()
+    q[0] += angle
+    return JointTarget(q, 0.1)
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 10.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    return condition()
+
+
+def test_a_writer_that_dies_at_any_moment_leaves_a_whole_snapshot() -> None:
+    file = LinkMemory.new_file()
+    memory, rng = LinkMemory(file), np.random.default_rng(0)
+    os.close(file)
+    for _ in range(30):
+        child = os.fork()
+        if child == 0:
+            now = np.zeros((), SNAPSHOT)
+            while True:
+                now["time"] += 1.0
+                now["q"] = now["heard"] = now["time"]
+                memory.publish(now)
+        time.sleep(rng.uniform(0.001, 0.005))
+        for alive in (True, False):
+            if not alive:
+                os.kill(child, signal.SIGKILL)
+                os.waitpid(child, 0)
+            seen = memory.snapshot()
+            assert (seen["q"] == seen["time"]).all() and seen["heard"] == seen["time"]
+    assert seen["time"] > 0
+
+
+def test_a_link_that_crashes_has_its_program_stopped(lab: Lab) -> None:
+    driver = lab.connect("raise")
+    with pytest.raises(StaleError, match="code 4"):
+        Stream(driver, lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 1.0)
+    assert lab.stopped == ["program"]
+
+
+def test_a_link_that_never_began_leaves_the_others_program_alone(lab: Lab) -> None:
+    with pytest.raises(RobotError, match="another program controls"):
+        lab.connect("in use")
+    assert lab.stopped == []
+
+
+def test_a_controller_that_keeps_another_centre_of_the_payload_is_not_driven(lab: Lab) -> None:
+    with pytest.raises(RobotError, match=r"payload \[1\.2, 0\.0, 0\.0, 0\.1\] instead of \[1\.2, 0\.0, 0\.0, 0\.06\]"):
+        lab.connect("centre")
+    assert lab.stopped == ["program"]
+    assert lab.wire() == []
+
+
+@pytest.mark.parametrize("starved", [False, True], ids=["playing", "resting"])
+def test_a_link_that_hangs_is_silent_and_not_waited_for(
+    lab: Lab, starved: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hardware.ur_process.END_S", 0.2)
+    driver = lab.connect("hang", freshness=0.5)
+    stream = Stream(driver, lab.rig(0.5))
+    if starved:
+        # The way to rest is under way for ever.
+        driver._require_link().words["link_epoch"] += 1
+        threading.Timer(0.1, lambda: driver._link.process.send_signal(signal.SIGSTOP)).start()
+    begin = time.monotonic()
+    with pytest.raises(StaleError, match="said nothing"):
+        stream.run(turned(lab.rig(0.5), 0.05), 1.0)
+    assert time.monotonic() - begin < 5.0
+
+
+def test_a_driver_that_lets_go_brakes_at_once_however_long_the_block(lab: Lab) -> None:
+    rig = lab.rig(5.0)
+    driver = lab.connect()
+    stream, ended = Stream(driver, rig), []
+
+    def move() -> None:
+        try:
+            stream.run(turned(rig, 1.0), 8.0, travel=True)
+        except RobotError as error:
+            ended.append(error)
+
+    mover = threading.Thread(target=move)
+    words = driver._require_link().words
+    mover.start()
+    assert wait_for(lambda: int(words["sent"]) > 400)
+    before = int(words["sent"])
+    driver.close()
+    mover.join()
+    assert ended and lab.lines()[-1] == "end"
+    wire = lab.wire()
+    assert_nothing_out_of_limits(wire, rig)
+    speed = np.abs(np.diff(wire, axis=0)).max(axis=1)
+    assert speed[before - 20] > 1e-4, "it was moving"
+    np.testing.assert_array_equal(wire[-1], wire[-2])
+    # A piece, the lead, and what was sent while this process was told; then the way to rest.
+    assert len(wire) - before < 2 * PIECE + 100
