@@ -147,7 +147,8 @@ class _Trial:
         self.seconds.append(time.process_time() - begun)
         self.complaints.append(complaint)
         # The held block is where the tips are, whatever the pictures show; the others are what such a scan is about.
-        left_out = {*self.belief.report.ambiguous, *([self.held.name] if self.held else [])}
+        report = self.belief.report
+        left_out = {*report.ambiguous, *report.missing, *([self.held.name] if self.held else [])}
         rows, false = compare(self.drawn, state, self.world.perceive(), left_out, index)
         if scene is not None:
             names = {b.name for b in self.blocks}

@@ -10,15 +10,22 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from perception.blocks import BlockEstimate
+from perception.objects import SceneEstimate
+from perception.pose import BoxEstimate
+from perception.scan import Scan
 from resync_robot import cli
 from resync_robot.core.errors import RenderError
+from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.perception_report import ALL, LEVELS, draw_reliability, perception_report, perception_table
-from resync_robot.perception_trial import ObjectRow, SceneRow, compare
+from resync_robot.perception_trial import ObjectRow, SceneRow, _Trial, compare
 from sim_training.domains.layouts import THE_BOX, R
 from sim_training.perception_scenes import LOWER, TOUCHING, TWIN, UPPER, draw_scene
 from sim_training.scene import require_renderer
+from sim_training.sensor import NoisySensor
+from sim_training.world import SimWorld
 
 SCENES = [draw_scene(1000, i) for i in range(60)]
 
@@ -86,6 +93,29 @@ def test_what_is_far_off_or_open_is_not_found() -> None:
     rows, false = compare(DRAWN, None, true, set(), 0)
     assert not any(r.found for r in rows) and false == 0
     assert {r.name for r in rows} == {THE_BOX.name, *DRAWN.conditions}
+
+
+def test_a_block_that_the_second_scan_misses_is_not_found_where_it_stood(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = next(s for s in SCENES if not {TWIN, UPPER} & {*s.conditions, *s.conditions.values()})
+    true, rig = drawn.task.initial, load_rig()
+
+    def scan(*names: str) -> SceneEstimate:
+        covariance = np.eye(10) * 1e-6
+        blocks = {n: BlockEstimate(n, true[BLOCK(n)], covariance, _top(true[BLOCK(n)]), True, False, 4) for n in names}
+        return SceneEstimate(BoxEstimate(true[THE_BOX], np.eye(11) * 1e-6), blocks, {})
+
+    trial = _Trial(rig, drawn, SimWorld(drawn.task, rig), NoisySensor(0, rig.camera("wrist")))
+    gone, *left = drawn.conditions
+    monkeypatch.setattr(Scan, "__call__", lambda *args: [])
+    for seen, found in ((drawn.conditions, True), (left, False)):
+        monkeypatch.setattr(trial.estimator, "estimate", lambda frames, names=tuple(seen): scan(*names))
+        (row,) = (r for r in trial.look(0).objects if r.name == gone)
+        assert row.found == found
+    assert f"did not find {gone}" in trial.complaints[-1]
+
+
+def _top(block: np.ndarray) -> float:
+    return float(block[2] + block[9] / 2)
 
 
 def scene_row(index: int, rng: np.random.Generator, sigma: float = 1.0) -> SceneRow:
