@@ -46,12 +46,21 @@ def fit_noise(camera: CameraRig, stills: Sequence[Sequence[CameraFrame]]) -> Noi
         stills: for each place the pictures taken there, the camera and everything before it at rest.
 
     Raises:
-        CalibrationError: too few pictures, nothing flat, or a plane seen too squarely.
+        CalibrationError: too few pictures, some of another size than the camera's, nothing flat, or a plane seen too
+            squarely.
     """
     fewest = min((len(s) for s in stills), default=0)
     if fewest < LEAST_FRAMES:
         raise CalibrationError(
             f"{fewest} pictures of one place; at least {LEAST_FRAMES} are needed", "give --frames 12"
+        )
+    size = camera.height, camera.width
+    strange = {f.depth.shape for s in stills for f in s} - {size}
+    if strange:
+        height, width = strange.pop()
+        raise CalibrationError(
+            f"a picture of {width} x {height} px; the rig says that '{camera.name}' has {size[1]} x {size[0]}",
+            "give the rig file of this camera with --rig",
         )
     given = camera.noise
     focal_baseline = given.focal_at_848_px * camera.width / 848 * given.baseline

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.blocks import BlockEstimate, Glimpse
-from perception.naming import AmbiguousObjectsError, MissingObjectsError, name_blocks
+from perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError, name_blocks
 from perception.objects import SceneEstimate, SceneEstimator
-from perception.pose import HEIGHT_SIGMA, inside_box, upright_covariance, yaw_variance_of
+from perception.pose import HEIGHT_SIGMA, inside_box, tie_height, upright_covariance, yaw_variance_of
 from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
@@ -27,6 +27,13 @@ BENEATH = 0.045
 """Horizontal distance from a block within which another one counts as under it, m."""
 LIFTED = 0.020
 """A block whose underside is this far above the ground stands on something, m."""
+SEAT_SIGMA = 0.001
+"""Of the lower face of a seated block over the upper face of the one below it, m."""
+OUT_OF_SIGHT_SIGMA, OUT_OF_SIGHT_YAW = 0.02, 0.3
+"""Of the old place (m) and yaw (rad) of a block that should be there and was not seen: nobody says where it went."""
+TIPPED_SIGMA, TIPPED_TILT = 0.01, 0.7
+"""What a block that does not stand upright adds to place and sizes, m, which are measured as if it did, and to its
+tilt, rad."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +94,7 @@ class Belief:
         self._at_grasp: dict[Object, np.ndarray] = {}
         self._last_opening = np.inf
         self._ambiguous: Mapping[str, np.ndarray] = {}
+        self._before_scan = self._memory()
         self.report = ScanReport()
 
     @property
@@ -99,19 +107,29 @@ class Belief:
         """Was the held block alone between the pads? Of two stacked ones either may have come along, or both."""
         return self._held is None or not self._stacked_at_grasp(self._held)
 
-    def update_from_scan(self, frames: Sequence[CameraFrame], robot_features: Float[np.ndarray, "8"]) -> State:
+    def update_from_scan(
+        self, frames: Sequence[CameraFrame], robot_features: Float[np.ndarray, "8"], again: bool = False
+    ) -> State:
         """Take in the pictures of a scan, taken with the hand as it is now.
+
+        Args:
+            again: these are all the pictures of the last scan and more, and take that one's place.
 
         Raises:
             UnsettledSceneError: a block was not found and is not plausibly hidden, or was seen more than once; it keeps
-                its old estimate, and the next `state` works if there is one.
+                its old estimate, with a wider covariance, and the next `state` works if there is one.
             PerceptionError: pictures that cannot be used, or no box; nothing is changed.
         """
-        self._follow_hand(robot_features)
-        return self.update(self._estimator.estimate(frames), robot_features)
+        return self.update(self._estimator.estimate(frames), robot_features, again)
 
-    def update(self, scene: SceneEstimate, robot_features: Float[np.ndarray, "8"]) -> State:
+    def update(self, scene: SceneEstimate, robot_features: Float[np.ndarray, "8"], again: bool = False) -> State:
         """Take in an estimate of the scene. Raises UnsettledSceneError as `update_from_scan` does."""
+        if again:
+            known, self._held, self._tip_T_held, self._at_grasp = self._before_scan
+            self._known = dict(known)
+        else:
+            self._before_scan = self._memory()
+        self._follow_hand(robot_features)
         places = {b.name: k.features[:2] for b, k in self._known.items() if b in self._blocks}
         held = self._held.name if self._held else None
         scene, ambiguous = name_blocks(
@@ -141,10 +159,16 @@ class Belief:
             missing=missing,
         )
         self._ambiguous = ambiguous
+        for block in self._blocks:
+            if block.name in (*missing, *ambiguous):
+                self._lose_sight_of(block)
+        unsettled: list[UnsettledSceneError] = []
         if missing:
-            raise MissingObjectsError(missing, self.report.seen, scene.without_depth)
+            unsettled.append(MissingObjectsError(missing, self.report.seen, scene.without_depth))
         if ambiguous:
-            raise AmbiguousObjectsError(ambiguous)
+            unsettled.append(AmbiguousObjectsError(ambiguous))
+        if unsettled:
+            raise unsettled[0] if len(unsettled) == 1 else UnsettledSceneError.of(unsettled)
         return self.state(robot_features)
 
     def unclear_places(self, most_sigma: float = 0.0012) -> list[Float[np.ndarray, "2"]]:
@@ -272,6 +296,20 @@ class Belief:
             known, features=np.concatenate([pose, known.features[7:]]), covariance=covariance
         )
 
+    def _memory(self) -> tuple[dict[Object, _Known], Object | None, np.ndarray, dict[Object, np.ndarray]]:
+        """What a scan may change and a better look at the same scene must find as it was."""
+        return dict(self._known), self._held, self._tip_T_held, self._at_grasp
+
+    def _lose_sight_of(self, block: Object) -> None:
+        known = self._known.get(block)
+        if known is None:
+            return
+        covariance = known.covariance.copy()
+        place = np.maximum(np.diag(covariance)[:3], [OUT_OF_SIGHT_SIGMA**2, OUT_OF_SIGHT_SIGMA**2, 0.0])
+        yaw_variance = max(yaw_variance_of(covariance), OUT_OF_SIGHT_YAW**2)
+        covariance[:7, :7] = upright_covariance(place, yaw_variance, known.features[3:7])
+        self._known[block] = replace(known, covariance=covariance)
+
     def _take(self, block: Object, estimate: BlockEstimate) -> None:
         before = self._known.get(block)
         sizes, scans = self._averaged_sizes(block, estimate.features[7:])
@@ -281,14 +319,16 @@ class Belief:
             # Only a block that stands on the ground shows its own height.
             sizes[2] = estimate.features[9] if height_known else before.features[9]
             if not height_known:
-                covariance[9, 9] = before.covariance[9, 9]
-                covariance[2, 2] = HEIGHT_SIGMA**2 + covariance[9, 9] / 4
+                tie_height(covariance, float(np.sqrt(before.covariance[9, 9])), HEIGHT_SIGMA)
             height_known = True
         quat = estimate.features[3:7]
         if before is not None:
             quat = _nearest_quarter_turn(quat, before.features[3:7])
         features = np.array([*estimate.features[:2], estimate.top_z - sizes[2] / 2, *quat, *sizes])
         covariance[:7, :7] = upright_covariance(np.diag(covariance)[:3], yaw_variance_of(covariance), quat)
+        if not estimate.upright:
+            half_tilt = TIPPED_TILT / 2
+            covariance += np.diag(np.array([*[TIPPED_SIGMA] * 3, 0, half_tilt, half_tilt, 0, *[TIPPED_SIGMA] * 3]) ** 2)
         self._known[block] = _Known(features, covariance, scans, height_known)
 
     def _averaged_sizes(self, obj: Object, sizes: np.ndarray) -> tuple[np.ndarray, int]:
@@ -328,20 +368,24 @@ class Belief:
             return
         # A stud in a socket leaves 1.5 mm of play a side, so the block above tells where this one stands.
         above = cover.features
-        quat, size, size_sigma, scans = above[3:7], above[7:10], 0.005, 0
+        quat, size, scans = above[3:7], above[7:10], 0
+        # The blocks of a tower share its height; to one whose height is its own, the next is a stranger.
+        size_sigma = 0.005 if cover.height_known else float(np.sqrt(cover.covariance[9, 9]))
         if before is not None:
             quat, size = _nearest_quarter_turn(quat, before.features[3:7]), before.features[7:10]
             size_sigma, scans = 0.0015, before.scans
-        bottom, z_variance = _underside(above) - size[2], float(cover.covariance[2, 2]) + 0.003**2
+        # Where exactly the seam is, nobody may know; that the two meet there is what the relation of both hangs on.
+        bottom, face_sigma, hangs = _underside(above) - size[2], SEAT_SIGMA, True
         if before is not None and abs(_underside(before.features) - self._ground(above[:2])) < LIFTED / 2:
             # It stood on the ground, and nothing lifts what something is put upon. Where the cover is too high for
             # that, it lies on the stud and is not seated: the belief must not make it fit.
-            bottom, z_variance = self._ground(above[:2]), HEIGHT_SIGMA**2 + (size_sigma / 2) ** 2
+            bottom, face_sigma, hangs = self._ground(above[:2]), HEIGHT_SIGMA, False
         features = np.array([*above[:2], bottom + size[2] / 2, *quat, *size])
         covariance = np.zeros((10, 10))
-        variance = np.array([*(np.diag(cover.covariance)[:2] + 0.001**2), z_variance])
+        variance = np.array([*(np.diag(cover.covariance)[:2] + 0.001**2), 0.0])
         covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.03**2, quat)
         covariance[7:, 7:] = np.eye(3) * size_sigma**2
+        tie_height(covariance, size_sigma, face_sigma, from_top=hangs)
         known = before is not None and before.height_known
         self._known[block] = _Known(features, covariance, max(scans, 1), known)
 

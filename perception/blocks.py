@@ -22,6 +22,7 @@ from perception.pose import (
     fitted_covariance,
     inside_box,
     peak_height,
+    tie_height,
     upright_covariance,
 )
 from perception.views import View, gather
@@ -29,6 +30,8 @@ from resync_robot.core import spatial
 
 BLOCK_SIGMA = ViewSigma(place=0.00118, yaw=0.0078)
 SIZE_SIGMA = 0.0006
+STOREY_SIGMA = 0.003
+"""Of the heights of blocks around their mean, m."""
 BESIDE = 1.3
 """Distance of two centres over their width, below which blocks touch: one edge of each is not seen."""
 TOUCHING_SIGMA, SEAM_SIGMA = ViewSigma(place=0.0, yaw=0.004), ViewSigma(place=0.001, yaw=0.010)
@@ -206,14 +209,16 @@ def _block(
     low, high = catalogue.block_height
     # Of a tower only the whole height is seen: its blocks share it.
     storeys = 1 if height <= high else round(height / TYPICAL_HEIGHT)
-    size_z, size_z_sigma = height / storeys, SIZE_SIGMA if storeys == 1 else 0.003
+    # With their sum known, a height is off from the mean by less than heights are from each other.
+    size_z = height / storeys
+    size_z_sigma = SIZE_SIGMA if storeys == 1 else STOREY_SIGMA * np.sqrt(1 - 1 / storeys)
     features = np.array(
         [r.x, r.y, top_z - size_z / 2, *spatial.quat_from_yaw(r.yaw), r.width, r.width, size_z], dtype=np.float64
     )
     covariance = np.zeros((10, 10))
-    covariance[:7, :7] = fitted_covariance(r, HEIGHT_SIGMA**2 + (size_z_sigma / 2) ** 2, votes.views, BLOCK_SIGMA)
+    covariance[:7, :7] = fitted_covariance(r, 0.0, votes.views, BLOCK_SIGMA)
     covariance[7:9, 7:9] = r.sigma[3] ** 2 + SIZE_SIGMA**2
-    covariance[9, 9] = size_z_sigma**2
+    tie_height(covariance, size_z_sigma, HEIGHT_SIGMA)
     upright = tilt < UPRIGHT_WITHIN and height >= low and _has_stud(patch, r, top_z, catalogue)
     return BlockEstimate(name, features, covariance, top_z, upright, storeys > 1, votes.views)
 
@@ -259,15 +264,17 @@ def _patches(points: np.ndarray, step: float = 0.006) -> list[np.ndarray]:
 def _squares(patch: np.ndarray, catalogue: Catalogue) -> list[np.ndarray]:
     """A patch that is too long for one square block, cut across until its pieces are not."""
     xy = _without_stragglers(patch[:, :2])
-    (_, extents, _) = cv2.minAreaRect(xy.astype(np.float32))
-    long, short = max(extents), min(extents)
+    rectangle = cv2.minAreaRect(xy.astype(np.float32))
+    long, short = max(rectangle[1]), min(rectangle[1])
     if long < max(OBLONG * short, 2 * catalogue.block_width[0]) or short < 0.6 * catalogue.block_width[0]:
         return [patch]
-    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-5)
-    # Cells, not points: the block that is seen more often must not draw the cut towards it.
-    cells = np.unique((xy / 0.004).astype(int), axis=0).astype(np.float32) * 0.004
-    _, _, centres = cv2.kmeans(cells, 2, None, criteria, 1, cv2.KMEANS_PP_CENTERS)  # type: ignore[call-overload]
-    second = np.linalg.norm(patch[:, :2] - centres[1], axis=1) < np.linalg.norm(patch[:, :2] - centres[0], axis=1)
+    # By the outline, which the block that is seen more often does not draw towards it; between two of them, not
+    # through the middle one of three.
+    corners = cv2.boxPoints(rectangle)
+    sides = corners[1:3] - corners[:2]
+    along = sides[np.argmax(np.linalg.norm(sides, axis=1))] / long
+    blocks = max(2, round(long / short))
+    second = (patch[:, :2] - corners.mean(axis=0)) @ along > (blocks // 2 / blocks - 0.5) * long
     halves = [patch[~second], patch[second]]
     if min(map(len, halves)) < LEAST_POINTS:
         return [patch]

@@ -26,6 +26,13 @@ class UnsettledSceneError(PerceptionError):
 
     names: tuple[str, ...] = ()
 
+    @staticmethod
+    def of(errors: Sequence[UnsettledSceneError]) -> UnsettledSceneError:
+        """Several at once."""
+        both = UnsettledSceneError("; ".join(e.what for e in errors), "; ".join(e.fix for e in errors))
+        both.names = tuple(n for e in errors for n in e.names)
+        return both
+
 
 class MissingObjectsError(UnsettledSceneError):
     """A scan did not find everything.

@@ -148,6 +148,22 @@ def yaw_variance_of(covariance: np.ndarray) -> float:
     return 4.0 * float(np.trace(covariance[3:7, 3:7]))
 
 
+def tie_height(
+    covariance: Float[np.ndarray, "10 10"], size_sigma: float, face_sigma: float, from_top: bool = True
+) -> None:
+    """Set what is known of a block's z and size_z where z is reckoned from one of its faces by half the height: an
+    error of the height then moves the centre, and that face stays where it is.
+
+    Args:
+        covariance: of core.vocabulary.BLOCK, changed in place.
+        size_sigma, face_sigma: of the height, and of the face's own place, m.
+        from_top: from the upper face, else from the lower one.
+    """
+    covariance[9, 9] = size_sigma**2
+    covariance[2, 2] = face_sigma**2 + size_sigma**2 / 4
+    covariance[2, 9] = covariance[9, 2] = (-1 if from_top else 1) * size_sigma**2 / 2
+
+
 def fitted_covariance(r: Rectangle, z_variance: float, views: int, sigma: ViewSigma) -> Float[np.ndarray, "7 7"]:
     """Covariance of x y z qw qx qy qz of an outline that so many views show: what the fit itself does not know, and
     what the views' own poses leave."""

@@ -70,9 +70,7 @@ def _read(reply: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[np.ndarray,
     try:
         masks, scores = (_array(reply[name]) for name in ("masks", "scores"))
     except (KeyError, TypeError) as error:
-        raise PerceptionError(
-            f"SAM 3 answered without {error}", f"install the version that is known: {INSTALL}"
-        ) from None
+        raise PerceptionError(f"SAM 3 answered without {error}", KNOWN) from None
     if masks.ndim == 4 and masks.shape[1] == 1:
         masks = masks[:, 0]
     if masks.ndim != 3 or masks.shape[1:] != tuple(shape) or scores.shape != masks.shape[:1]:

@@ -20,10 +20,10 @@ from calibration.shots import Judge, Shot, ShotFolder, read_shots, take, usable
 from hardware.stream import Stream
 from hardware.travel import travel
 from resync_robot.calibration_machine import open_simulated, standing, with_board
-from resync_robot.calibration_settings import CheckConfig, HandEyeConfig, IntrinsicsConfig, LookConfig
+from resync_robot.calibration_settings import CheckConfig, HandEyeConfig, IntrinsicsConfig, LookConfig, check_target
 from resync_robot.core import kinematics
 from resync_robot.core.calibration_record import CalibrationRecord, complaints
-from resync_robot.core.errors import CalibrationError, ConfigError
+from resync_robot.core.errors import CalibrationError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import CameraRig, Rig, load_rig
 from resync_robot.progress import say
@@ -50,11 +50,7 @@ def hand_eye(config: HandEyeConfig) -> int:
     """
     rig, camera = _rig_and_camera(config)
     target = config.write or config.rig or Path("rig.toml")
-    if config.write is None and config.rig is None and target.exists():
-        raise ConfigError(
-            f"{target} exists; it would be replaced by one that is calibrated from the built-in rig",
-            f"give --rig {target} to calibrate that one further, or --write FILE.toml",
-        )
+    check_target(target, config.rig)
     check_writable(target)
     folder = _folder(config)
     with _keeping(config, folder):
@@ -167,6 +163,7 @@ def intrinsics(config: IntrinsicsConfig) -> int:
     """Compare the rig file's camera matrix with one estimated from pictures of the board."""
     rig, camera = _rig_and_camera(config)
     if config.write is not None:
+        check_target(config.write, config.rig)
         check_writable(config.write)
     folder = _folder(config)
     with _keeping(config, folder):

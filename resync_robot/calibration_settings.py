@@ -111,6 +111,15 @@ class NoiseConfig:
     """Of the simulated machine."""
 
 
+def check_target(target: Path, rig: Path | None) -> None:
+    """Refuse to replace a rig file by one that was made from the built-in rig. Raises ConfigError."""
+    if rig is None and target.exists():
+        raise ConfigError(
+            f"{target} exists; it would be replaced by one that is made from the built-in rig",
+            f"give --rig {target} to calibrate that one further, or --write another FILE.toml",
+        )
+
+
 def check_noise(config: NoiseConfig) -> None:
     """Refuse before anything is loaded or moved. Raises ConfigError."""
     if config.backend != "sim":

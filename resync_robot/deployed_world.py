@@ -63,6 +63,10 @@ class Witness(Protocol):
         """Atoms still in doubt after so many looks: the share of pose samples in which each holds."""
         ...
 
+    def on_unsettled(self, names: Sequence[str], words: str) -> None:
+        """Objects whose place the looks did not settle, and why: their old or rough estimates are gone by."""
+        ...
+
 
 class DeployedWorld:
     """`core.world.World` over a robot and its cameras.
@@ -193,39 +197,44 @@ class DeployedWorld:
         while looks <= MORE_LOOKS and (again := self._where_to_look(state, error)):
             frames += self.scan(self._travel, capture, again)
             looks += 1
-            state, error = self._take_in(frames)
+            state, error = self._take_in(frames, again=True)
         self.scans += 1
-        if state is None or (error is not None and self.scans == 1):
-            raise error or PerceptionError("nothing is known of the scene", "scan before asking")
+        if error is not None and self.scans == 1:
+            raise error
         # What was seen before and is out of sight now keeps its old place; the plan may still go on.
         self.missing = error.names if error else ()
         self._held = self.belief.held
         self.stream.keep_out(walled(state, self._box))
         if self._witness:
             self._witness.on_scan(frames, state)
+            if error is not None:
+                self._witness.on_unsettled(error.names, error.what)
+            if tipped := self.belief.report.tipped:
+                self._witness.on_unsettled(tipped, f"{', '.join(tipped)} does not stand upright")
             if self._abstraction and (doubtful := self._abstraction.doubtful(state)):
                 self._witness.on_doubt(doubtful, looks)
         return state
 
-    def _take_in(self, frames: Sequence[CameraFrame]) -> tuple[State | None, UnsettledSceneError | None]:
+    def _take_in(self, frames: Sequence[CameraFrame], again: bool = False) -> tuple[State, UnsettledSceneError | None]:
         features = self._features()
         try:
-            return self.belief.update_from_scan(frames, features), None
+            return self.belief.update_from_scan(frames, features, again), None
         except UnsettledSceneError as error:
             return self.belief.state(features), error
 
-    def _where_to_look(self, state: State | None, error: UnsettledSceneError | None) -> list[np.ndarray]:
+    def _where_to_look(self, state: State, error: UnsettledSceneError | None) -> list[np.ndarray]:
         """Configurations for another look: at what atoms in doubt speak of, what is seen badly, or what is missing."""
-        places = list(self.belief.unclear_places())
-        if self._abstraction and state is not None:
-            for obj in objects_in(self._abstraction.doubtful(state)):
-                if obj.type == BLOCK and obj != self.belief.held:
-                    places.append(state.get(obj, "x", "y"))
-        if not places:
-            # What nobody has ever seen may be anywhere.
-            return list(self.scan.configurations) if error else []
+        doubtful = objects_in(self._abstraction.doubtful(state)) if self._abstraction else ()
+        # First what a plan may hang on.
+        places = [state.get(o, "x", "y") for o in doubtful if o.type == BLOCK and o != self.belief.held]
+        places += self.belief.unclear_places()
         different = [p for i, p in enumerate(places) if all(np.linalg.norm(p - q) > SAME_SIGHT for q in places[:i])]
-        return [q for place in different[:MOST_PLACES] for q in self.scan.towards(place)]
+        configurations = [q for place in different[:MOST_PLACES] for q in self.scan.towards(place)]
+        known = {o.name for o in state.objects}
+        if error is not None and not known.issuperset(error.names):
+            # What nobody has ever seen may be anywhere.
+            configurations += self.scan.configurations
+        return configurations
 
     def _features(self) -> np.ndarray:
         measured = self.robot.state()

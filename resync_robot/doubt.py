@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atom, Object
+from resync_robot.core.symbols import Atom, Atoms, Object
 from resync_robot.planning.abstract import HOLDS, Abstraction
 from resync_robot.planning.execute import Model
 
@@ -32,7 +32,8 @@ class DoubtingAbstraction(Abstraction):
     """Grounds predicates over samples of the poses that a state's covariance allows.
 
     An atom that some samples affirm and others deny counts as false, and so does its negation: nothing is built on
-    what is not known. States without a covariance, such as a simulator's, are judged as they are.
+    what is not known, unless there is no other way (`likely_atoms`). States without a covariance, such as those of a
+    simulator, are judged as they are.
 
     Args:
         given: whose predicates and classifiers to use.
@@ -49,6 +50,12 @@ class DoubtingAbstraction(Abstraction):
         open_atoms = self.doubtful(state)
         return {a: min(p, HOLDS) if a in open_atoms else p for a, p in self.shares(state).items()}
 
+    def likely_atoms(self, state: State) -> Atoms:
+        """The atoms that hold in most samples, or by the mean where those are split evenly; derived ones follow."""
+        at_mean = super().abstract(state)
+        held = {a for a, p in self.shares(state).items() if p > HOLDS or (p == HOLDS < at_mean[a])}
+        return self.derive(frozenset(held), state.objects)
+
     def doubtful(self, state: State) -> dict[Atom, float]:
         """The atoms that are neither surely true nor surely false, with the share of samples in which each holds."""
         if not _is_estimated(state):
@@ -63,8 +70,8 @@ class DoubtingAbstraction(Abstraction):
             return super().abstract(state)
         if self._last is None or self._last[0] is not state:
             held: Counter[Atom] = Counter()
-            for sample in samples(state, self._settings.samples):
-                held.update({a: int(p > HOLDS) for a, p in super().abstract(sample).items()})
+            for judged in self.abstract_each(samples(state, self._settings.samples)):
+                held.update({a: int(p > HOLDS) for a, p in judged.items()})
             self._last = state, {a: n / self._settings.samples for a, n in held.items()}
         return self._last[1]
 
@@ -84,18 +91,20 @@ def doubting(model: Model) -> DoubtingModel:
 def samples(state: State, count: int) -> list[State]:
     """States that the covariance of each object allows, errors of different objects independent.
 
-    The draws are the same for every state, so that two looks at the same thing are judged alike.
+    An object's draws hang on its name alone and vary smoothly with its covariance, so that two looks at the same thing
+    are judged alike.
     """
     drawn: list[dict[Object, np.ndarray]] = [{} for _ in range(count)]
-    for number, obj in enumerate(state.objects):
+    for obj in state.objects:
         covariance = state.covariance(obj)
         if covariance is None:
             for one in drawn:
                 one[obj] = state[obj]
             continue
         values, axes = np.linalg.eigh(covariance)
-        normal = np.random.default_rng([number, 17]).standard_normal((count, len(values)))
-        features = state[obj] + (normal * np.sqrt(np.maximum(values, 0.0))) @ axes.T
+        normal = np.random.default_rng([*obj.name.encode(), 17]).standard_normal((count, len(values)))
+        # The symmetric root: the axes of equal values, and the signs of all, are the eigensolver's whim.
+        features = state[obj] + normal @ ((axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T)
         names = obj.type.features
         if "qw" in names:
             quaternion = slice(names.index("qw"), names.index("qw") + 4)

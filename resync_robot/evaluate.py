@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
@@ -122,10 +122,13 @@ def evaluate(config: EvaluateConfig) -> None:
         from resync_robot.evaluate_perception import evaluate_perception
 
         usual = EvaluateConfig()
-        given = [n for n in ("library", "methods", "scenarios", "rig") if getattr(config, n) != getattr(usual, n)]
+        used = ("perception_only", "scenes", "seeds", "workers", "json", "rig")
+        given = [
+            f.name for f in fields(config) if f.name not in used and getattr(config, f.name) != getattr(usual, f.name)
+        ]
         if given:
             raise ConfigError(f"--{given[0]} has no meaning with --perception-only", "leave it out")
-        return evaluate_perception(config.scenes, config.seeds, config.workers, config.json)
+        return evaluate_perception(config.scenes, config.seeds, config.workers, config.json, config.rig)
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     if config.episodes < 1:

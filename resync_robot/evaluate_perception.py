@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from resync_robot import __version__
@@ -15,7 +16,9 @@ from resync_robot.run_folder import check_writable, git_hash, write_json
 from sim_training.parallel import parallel_map
 
 
-def evaluate_perception(scenes: int, seeds: Sequence[int], workers: int, json: Path | None) -> None:
+def evaluate_perception(
+    scenes: int, seeds: Sequence[int], workers: int, json: Path | None, rig_file: Path | None = None
+) -> None:
     """Scan `scenes` scenes of each seed, write a JSON file and a picture beside it where one is named, print the table.
 
     The file holds `summary`, one entry for each condition (`condition`, `n`, `found`, `found_ci95`; `median`, `p95` and
@@ -30,18 +33,25 @@ def evaluate_perception(scenes: int, seeds: Sequence[int], workers: int, json: P
         raise ConfigError(f"--scenes is {scenes}; at least one is needed")
     if not seeds or min(seeds) < 0:
         raise ConfigError(f"--seeds is {tuple(seeds)}", "give one or more whole numbers from 0 on")
+    rig = load_rig(rig_file)
     if json:
         check_writable(json)
     jobs = [(seed, scene) for seed in seeds for scene in range(scenes)]
     done: list[SceneRow] = []
     with Stages(("scan",)) as bars, bars.stage("scan") as progress:
-        for row in parallel_map(run_scene, jobs, load_rig, workers):
+        for row in parallel_map(run_scene, jobs, partial(load_rig, rig_file), workers):
             done.append(row)
             found = sum(o.found for r in done for o in r.objects) / sum(len(r.objects) for r in done)
             progress(len(done) / len(jobs), f"{100 * found:.1f} % found")
     report = perception_report(done)
     if json:
-        provenance = {"version": __version__, "git": git_hash(), "seeds": list(seeds), "scenes": scenes}
+        provenance = {
+            "version": __version__,
+            "git": git_hash(),
+            "rig": rig.hash,
+            "seeds": list(seeds),
+            "scenes": scenes,
+        }
         write_json(json, {"provenance": provenance, **report})
         draw_reliability(report, json.with_suffix(".png"))
     say(perception_table(report))

@@ -11,7 +11,7 @@ from hardware.stream import Stream
 from hardware.travel import travel
 from perception.scan import Scan
 from resync_robot.backends import NoisyCamera
-from resync_robot.calibration_settings import NoiseConfig
+from resync_robot.calibration_settings import NoiseConfig, check_target
 from resync_robot.core.rig import load_rig
 from resync_robot.core.world import CameraFrame
 from resync_robot.progress import say
@@ -32,8 +32,10 @@ def measure_noise(config: NoiseConfig) -> int:
     rig = load_rig(config.rig)
     camera = rig.camera(config.camera)
     if config.write is not None:
+        check_target(config.write, config.rig)
         check_writable(config.write)
-    reality = displaced(load_rig(None), config.seed)
+    # This very camera, a little off its place: what the simulation imitates of it is what should be found again.
+    reality = displaced(rig, config.seed)
     world = CalibrationWorld(empty_task(reality, config.seed), reality, None)
     sensor = NoisySensor(config.seed, reality.camera(camera.name))
     stills: list[list[CameraFrame]] = []

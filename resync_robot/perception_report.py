@@ -22,7 +22,7 @@ ALL, TWINS = "all blocks", "two of one colour"
 
 
 def perception_report(scenes: Sequence[SceneRow]) -> dict[str, Any]:
-    """The rows as plain data with their summary; `resync_robot.evaluate.evaluate_perception` describes the fields."""
+    """The rows as plain data with their summary; `evaluate_perception.evaluate_perception` describes the fields."""
     objects = [o for s in scenes for o in s.objects]
     seconds = [t for s in scenes for t in s.seconds]
     return {

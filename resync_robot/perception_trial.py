@@ -1,4 +1,5 @@
-"""One random scene, scanned as a deployment scans it, against the simulator's truth."""
+"""One random scene against the simulator's truth: the first round of pictures that a deployment takes, not the second
+looks that it takes where something stays in doubt."""
 
 from __future__ import annotations
 
@@ -39,6 +40,7 @@ class ObjectRow:
     """How one object of a scene was estimated.
 
     Attributes:
+        seed, scene: which one; `draw_scene` draws it from these.
         condition: how it stood.
         twin: another block has its colour.
         found: it was seen, or is known to be hidden, and nothing about it is open.
@@ -47,6 +49,7 @@ class ObjectRow:
         yaw_distance: that of the yaw (1 degree of freedom).
     """
 
+    seed: int
     scene: int
     name: str
     condition: str
@@ -62,9 +65,10 @@ class ObjectRow:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneRow:
-    """One scene. `false`: objects reported that are not there; `seconds`: computing after each round of pictures;
-    `complaint`: the error where the scan ended with one."""
+    """One scene, the number `scene` of its `seed`. `false`: objects reported that are not there; `seconds`: computing
+    after each round of pictures; `complaint`: the error where the scan ended with one."""
 
+    seed: int
     scene: int
     objects: tuple[ObjectRow, ...]
     false: int
@@ -74,7 +78,7 @@ class SceneRow:
 
 
 def run_scene(rig: Rig, number: tuple[int, int]) -> SceneRow:
-    """Build, render, spoil, scan, estimate and compare the scene of that (seed, index).
+    """Build, render, spoil, scan once, estimate and compare the scene of that (seed, index).
 
     Raises:
         RenderError: no device can render.
@@ -87,12 +91,13 @@ def run_scene(rig: Rig, number: tuple[int, int]) -> SceneRow:
         if is_at_rest(world):
             break
     trial = _Trial(rig, drawn, world, NoisySensor(index + 1000 * seed, rig.camera("wrist")))
-    rounds = [trial.look(index)]
+    rounds = [trial.look(number)]
     lifted = _can_be_lifted(drawn)
     if index % HELD_EVERY == 0 and lifted is not None:
         trial.hold(lifted)
-        rounds.append(trial.look(index))
+        rounds.append(trial.look(number))
     return SceneRow(
+        seed=seed,
         scene=index,
         objects=tuple(o for r in rounds for o in r.objects),
         false=sum(r.false for r in rounds),
@@ -126,7 +131,7 @@ class _Trial:
         self.opening, self.held = rig.gripper.max_opening, None  # type: tuple[float, Object | None]
         self.views, self.seconds, self.complaints = 0, [], []  # type: tuple[int, list[float], list[str]]
 
-    def look(self, index: int) -> _Round:
+    def look(self, number: tuple[int, int]) -> _Round:
         """One scan, taken in by the belief and compared with the truth."""
         frames = self.scan(self._move, lambda: self.sensor.apply(self.world.render("wrist")))
         self.views = len(frames)
@@ -147,8 +152,9 @@ class _Trial:
         self.seconds.append(time.process_time() - begun)
         self.complaints.append(complaint)
         # The held block is where the tips are, whatever the pictures show; the others are what such a scan is about.
-        left_out = {*self.belief.report.ambiguous, *([self.held.name] if self.held else [])}
-        rows, false = compare(self.drawn, state, self.world.perceive(), left_out, index)
+        report = self.belief.report
+        left_out = {*report.ambiguous, *report.missing, *([self.held.name] if self.held else [])}
+        rows, false = compare(self.drawn, state, self.world.perceive(), left_out, number)
         if scene is not None:
             names = {b.name for b in self.blocks}
             false += sum(n not in names for n in scene.blocks) + len(scene.surplus)
@@ -172,7 +178,7 @@ class _Trial:
 
 
 def compare(
-    drawn: PerceptionScene, believed: State | None, true: State, open_names: set[str], index: int
+    drawn: PerceptionScene, believed: State | None, true: State, open_names: set[str], number: tuple[int, int]
 ) -> tuple[tuple[ObjectRow, ...], int]:
     """A row for every object, and how many estimates are of nothing.
 
@@ -199,7 +205,17 @@ def compare(
         label = BOX_CONDITION if obj == THE_BOX else drawn.conditions[obj.name]
         alike = obj != THE_BOX and TWIN in drawn.conditions and drawn.hues[obj.name] == drawn.hues[TWIN]
         errors = _errors(believed, pairs[obj], true[obj]) if believed is not None and obj in pairs else {}
-        rows.append(ObjectRow(scene=index, name=obj.name, condition=label, twin=alike, found=obj in pairs, **errors))
+        rows.append(
+            ObjectRow(
+                seed=number[0],
+                scene=number[1],
+                name=obj.name,
+                condition=label,
+                twin=alike,
+                found=obj in pairs,
+                **errors,
+            )
+        )
     return tuple(rows), false
 
 

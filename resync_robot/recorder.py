@@ -112,6 +112,11 @@ class Recorder(Listener):
         self._writer.event(self._clock(), EventKind.DOUBT, f"after {looks} looks: {words}", shares=details)
         self._tell(f"  in doubt after {looks} looks, and taken for false: {words}")
 
+    def on_unsettled(self, names: Sequence[str], words: str) -> None:
+        """Objects that are not, or not well, where the belief has them."""
+        self._writer.event(self._clock(), EventKind.DOUBT, words, objects=list(names))
+        self._tell(f"  {words}; poses of {', '.join(names)} are rough")
+
     def on_perceived(self, state: State, atoms: Mapping[Atom, float]) -> None:
         now = self._clock()
         self._writer.state(now, state)

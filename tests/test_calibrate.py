@@ -109,9 +109,15 @@ def test_a_rig_file_that_lies_there_is_not_replaced_by_the_built_in_one(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("rig.toml").write_text("mine")
-    assert run("hand-eye") == 2
-    assert "give --rig rig.toml" in capsys.readouterr().err
-    assert Path("rig.toml").read_text() == "mine"
+    for words in (
+        ("hand-eye",),
+        ("hand-eye", "--write", "rig.toml"),
+        ("intrinsics", "--write", "rig.toml"),
+        ("noise", "--write", "rig.toml"),
+    ):
+        assert run(*words) == 2
+        assert "give --rig rig.toml" in capsys.readouterr().err
+        assert Path("rig.toml").read_text() == "mine"
 
 
 def test_pictures_of_an_earlier_run_are_enough(
@@ -221,3 +227,19 @@ def test_the_noise_of_the_simulated_camera_is_measured_and_written(
     assert found.ripple_px == pytest.approx(true.ripple_px, abs=0.01)
     assert found.hole_share == pytest.approx(true.hole_share, rel=0.5)
     assert found.colour_sigma == pytest.approx(true.colour_sigma, rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_camera_of_another_size_and_noise_is_measured_as_what_it_is(
+    renderer: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    wrist, path = load_rig().camera("wrist"), Path("mine.toml")
+    noisy = replace(wrist.noise, disparity_sigma_px=0.2, colour_sigma=5.0)
+    twice = {"width": 2 * wrist.width, "height": 2 * wrist.height, "fx": 2 * wrist.fx, "fy": 2 * wrist.fy}
+    update_rig(None, path, "wrist", {**twice, "cx": 2 * wrist.cx, "cy": 2 * wrist.cy}, noise=noisy)
+    assert run("noise", "--rig", "mine.toml", "--write", "mine.toml") == 0
+    found = load_rig(path).camera("wrist")
+    assert found.width == 2 * wrist.width
+    assert found.noise.disparity_sigma_px == pytest.approx(0.2, rel=0.1)
+    assert found.noise.colour_sigma == pytest.approx(5.0, rel=0.2)

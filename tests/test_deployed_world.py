@@ -44,6 +44,7 @@ class Told:
     on_look: Callable[..., None] = _silent
     on_timing: Callable[..., None] = _silent
     on_doubt: Callable[..., None] = _silent
+    on_unsettled: Callable[..., None] = _silent
 
 
 WINDOW = Window(10.0, 20.0, 32.0, 32.0)
@@ -248,7 +249,27 @@ def test_one_that_was_seen_before_is_looked_for_where_it_stood(monkeypatch: pyte
     world = looking(monkeypatch)
     before = world.world.perceive()
     world.eye.table, world.eye.asked = Table(RIG, Catalogue()), []
+    told: list[tuple[tuple[str, ...], str]] = []
+    world.world._witness = Told(on_unsettled=lambda names, words: told.append((tuple(names), words)))
     after = world.world.perceive()
+    assert [names for names, _ in told] == [("b0",)] and "did not find b0" in told[0][1]
+    assert after.covariance(scenes.B0)[0, 0] > 100 * before.covariance(scenes.B0)[0, 0], "it may have moved"
     assert len(world.eye.asked) == ROUND + 2 * MORE_LOOKS
     assert world.world.missing == ("b0",)
     assert np.array_equal(after[scenes.B0], before[scenes.B0]), "it keeps its old place"
+
+
+def test_what_a_plan_may_hang_on_is_looked_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = looking(monkeypatch, 0.0003).world
+    true = scenes.scene({"b0": (0.0, 0.0)}).initial
+    state = State({o: true[o] for o in true.objects}, {scenes.B0: np.eye(10) * 1e-6})
+    badly_seen = [np.array([0.36 + 0.06 * i, -0.25]) for i in range(4)]
+    monkeypatch.setattr(world.belief, "unclear_places", lambda: badly_seen)
+    first, *_ = world.scan.towards(state.get(scenes.B0, "x", "y"))
+    looks = world._where_to_look(state, None)
+    np.testing.assert_array_equal(looks[0], first)
+    assert len(looks) <= 2 * deployed_world.MOST_PLACES
+    # Nobody knows where to look for what was never seen: everywhere, whatever else is in doubt.
+    never = world._where_to_look(state, MissingObjectsError(("b1",), ("b0",)))
+    assert len(never) == len(looks) + ROUND
+    assert len(world._where_to_look(state, MissingObjectsError(("b0",), ()))) == len(looks)

@@ -72,6 +72,31 @@ def test_far_from_the_edge_nothing_is_in_doubt() -> None:
         assert atom in doubting.true_atoms(believed(x))
 
 
+def test_where_nothing_else_is_left_the_likelier_side_counts_and_what_follows_from_it() -> None:
+    doubting = DoubtingAbstraction(GIVEN)
+    assert doubting.likely_atoms(believed(EDGE - 0.4 * SIGMA)) == {LEFT(B0), LEFT(B1)}
+    assert doubting.likely_atoms(believed(EDGE + 0.4 * SIGMA)) == {NOT_LEFT(B0), LEFT(B1)}
+    # As many samples on either side: the mean decides.
+    split = [x for x in EDGE + SIGMA * np.linspace(-0.5, 0.5, 101) if doubting.shares(believed(x))[LEFT(B0)] == HOLDS]
+    assert split
+    for x in split:
+        assert doubting.likely_atoms(believed(x)) == {LEFT(B0) if x < EDGE else NOT_LEFT(B0), LEFT(B1)}
+
+
+def test_draws_hang_on_the_name_alone_and_vary_smoothly_with_the_covariance() -> None:
+    true = believed(0.5)
+    alone = State({B1: true[B1]}, {B1: true.covariance(B1)})
+    assert np.array_equal([s[B1] for s in samples(true, 5)], [s[B1] for s in samples(alone, 5)])
+    # Equal variances have no axes of their own; a touch of correlation either way gives them opposite ones.
+    drawn = []
+    for touch in (1e-12, -1e-12):
+        covariance = np.diag([SIGMA**2] * 3 + [0.0] * 7)
+        covariance[0, 1] = covariance[1, 0] = touch
+        state = State({o: true[o] for o in true.objects}, {B0: covariance})
+        drawn.append(np.array([s[B0] for s in samples(state, 20)]))
+    np.testing.assert_allclose(drawn[0], drawn[1], atol=1e-7)
+
+
 def test_a_state_that_is_exact_is_judged_as_before() -> None:
     exact = scenes.scene({"b0": (0.0, 0.0), "b1": (-0.1, 0.1)}).initial
     doubting = DoubtingAbstraction(GIVEN)

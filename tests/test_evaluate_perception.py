@@ -10,15 +10,22 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from perception.blocks import BlockEstimate
+from perception.objects import SceneEstimate
+from perception.pose import BoxEstimate
+from perception.scan import Scan
 from resync_robot import cli
 from resync_robot.core.errors import RenderError
+from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.perception_report import ALL, LEVELS, draw_reliability, perception_report, perception_table
-from resync_robot.perception_trial import ObjectRow, SceneRow, compare
+from resync_robot.perception_trial import ObjectRow, SceneRow, _Trial, compare
 from sim_training.domains.layouts import THE_BOX, R
 from sim_training.perception_scenes import LOWER, TOUCHING, TWIN, UPPER, draw_scene
 from sim_training.scene import require_renderer
+from sim_training.sensor import NoisySensor
+from sim_training.world import SimWorld
 
 SCENES = [draw_scene(1000, i) for i in range(60)]
 
@@ -64,9 +71,9 @@ def test_errors_are_measured_whichever_twin_is_which() -> None:
     other = next(BLOCK(n) for n in DRAWN.conditions if n != TWIN and DRAWN.hues[n] == DRAWN.hues[TWIN])
     features = {o: believed[o] for o in believed.objects}
     features[BLOCK(TWIN)], features[other] = features[other] + np.eye(10)[0] * 0.001, features[BLOCK(TWIN)]
-    rows, false = compare(DRAWN, State(features, {o: believed.covariance(o) for o in features}), true, set(), 7)
+    rows, false = compare(DRAWN, State(features, {o: believed.covariance(o) for o in features}), true, set(), (1000, 7))
     assert false == 0
-    assert all(r.found and r.scene == 7 for r in rows)
+    assert all(r.found and (r.seed, r.scene) == (1000, 7) for r in rows)
     by_name = {r.name: r for r in rows}
     assert by_name[other.name].position_mm == pytest.approx(1.0)
     assert by_name[other.name].place_distance == pytest.approx(1.0)
@@ -78,23 +85,47 @@ def test_what_is_far_off_or_open_is_not_found() -> None:
     believed, true = exact()
     single = next(BLOCK(n) for n in DRAWN.conditions if sum(DRAWN.hues[n] == h for h in DRAWN.hues.values()) == 1)
     gone = believed.with_features(single, x=float(true[single][0]) + 0.05)
-    rows, false = compare(DRAWN, gone, true, set(), 0)
+    rows, false = compare(DRAWN, gone, true, set(), (1000, 0))
     assert false == 1
     assert [r.name for r in rows if not r.found] == [single.name]
-    rows, false = compare(DRAWN, believed, true, {single.name}, 0)
+    rows, false = compare(DRAWN, believed, true, {single.name}, (1000, 0))
     assert (false, [r.name for r in rows if not r.found]) == (0, [single.name])
-    rows, false = compare(DRAWN, None, true, set(), 0)
+    rows, false = compare(DRAWN, None, true, set(), (1000, 0))
     assert not any(r.found for r in rows) and false == 0
     assert {r.name for r in rows} == {THE_BOX.name, *DRAWN.conditions}
 
 
+def test_a_block_that_the_second_scan_misses_is_not_found_where_it_stood(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = next(s for s in SCENES if not {TWIN, UPPER} & {*s.conditions, *s.conditions.values()})
+    true, rig = drawn.task.initial, load_rig()
+
+    def scan(*names: str) -> SceneEstimate:
+        covariance = np.eye(10) * 1e-6
+        blocks = {n: BlockEstimate(n, true[BLOCK(n)], covariance, _top(true[BLOCK(n)]), True, False, 4) for n in names}
+        return SceneEstimate(BoxEstimate(true[THE_BOX], np.eye(11) * 1e-6), blocks, {})
+
+    trial = _Trial(rig, drawn, SimWorld(drawn.task, rig), NoisySensor(0, rig.camera("wrist")))
+    gone, *left = drawn.conditions
+    monkeypatch.setattr(Scan, "__call__", lambda *args: [])
+    for seen, found in ((drawn.conditions, True), (left, False)):
+        monkeypatch.setattr(trial.estimator, "estimate", lambda frames, names=tuple(seen): scan(*names))
+        (row,) = (r for r in trial.look((1000, 0)).objects if r.name == gone)
+        assert row.found == found
+    assert f"did not find {gone}" in trial.complaints[-1]
+
+
+def _top(block: np.ndarray) -> float:
+    return float(block[2] + block[9] / 2)
+
+
 def scene_row(index: int, rng: np.random.Generator, sigma: float = 1.0) -> SceneRow:
     row = ObjectRow(
-        scene=index, name="b0", condition="free in the box", twin=False, found=True, position_mm=1.0, yaw_deg=0.2,
-        width_mm=0.1, height_mm=0.1, place_distance=float(sigma**2 * chi2.rvs(2, random_state=rng)), yaw_distance=0.5,
+        seed=0, scene=index, name="b0", condition="free in the box", twin=False, found=True, position_mm=1.0,
+        yaw_deg=0.2, width_mm=0.1, height_mm=0.1, yaw_distance=0.5,
+        place_distance=float(sigma**2 * chi2.rvs(2, random_state=rng)),
     )  # fmt: skip
-    missed = ObjectRow(scene=index, name="b1", condition="at a wall", twin=False, found=False)
-    return SceneRow(scene=index, objects=(row, missed), false=index % 2, views=6, seconds=(0.5,), complaint="")
+    missed = ObjectRow(seed=0, scene=index, name="b1", condition="at a wall", twin=False, found=False)
+    return SceneRow(seed=0, scene=index, objects=(row, missed), false=index % 2, views=6, seconds=(0.5,), complaint="")
 
 
 def test_the_report_counts_and_shows_whether_ellipses_are_honest(tmp_path: Path) -> None:
@@ -122,6 +153,12 @@ def test_the_report_counts_and_shows_whether_ellipses_are_honest(tmp_path: Path)
         (["--scenes", "0"], "--scenes is 0"),
         (["--seeds", "-1"], "--seeds is"),
         (["--methods", "rc"], "--methods has no meaning"),
+        (["--domain", "other"], "--domain has no meaning"),
+        (["--episodes", "3"], "--episodes has no meaning"),
+        (["--perception", "camera"], "--perception has no meaning"),
+        (["--skills", "state"], "--skills has no meaning"),
+        (["--worlds", "unseen"], "--worlds has no meaning"),
+        (["--rig", "absent.toml"], "absent.toml"),
     ],
 )
 def test_bad_input_is_one_message(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -139,7 +176,8 @@ def test_scenes_are_scanned_and_written(tmp_path: Path, capsys: pytest.CaptureFi
     assert not cli.main(["evaluate", *words])
     report = json.loads(out.read_text())
     assert report["scenes"] == 2 and report["false_objects"] == 0
-    assert report["provenance"]["seeds"] == [1000]
+    assert report["provenance"]["seeds"] == [1000] and report["provenance"]["rig"] == load_rig().hash
+    assert all(row["seed"] == 1000 for row in report["rows"])
     objects = [o for row in report["rows"] for o in row["objects"]]
     assert all(o["found"] for o in objects)
     # Every fourth scene is scanned again with a block in the hand.

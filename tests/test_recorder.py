@@ -197,7 +197,9 @@ def test_timings_are_recorded(path: Path) -> None:
 def test_doubt_is_told_and_recorded_with_its_figures(path: Path) -> None:
     session = Session(path)
     session.recorder.on_doubt({ON(B0, B1): 0.62}, 3)
-    (event,) = (e for e in session.read().events() if e.kind is EventKind.DOUBT)
+    session.recorder.on_unsettled(("b1",), "the scan did not find b1")
+    event, unsettled = (e for e in session.read().events() if e.kind is EventKind.DOUBT)
     assert event.details["shares"] == {"On(b0, b1)": 0.62}
+    assert unsettled.details["objects"] == ["b1"] and "did not find b1" in unsettled.text
     assert "after 3 looks" in event.text
     assert any("in doubt" in line and "0.62" in line for line in session.told)

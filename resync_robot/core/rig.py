@@ -6,7 +6,7 @@ import hashlib
 import ipaddress
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
@@ -19,7 +19,7 @@ from resync_robot.core import kinematics, spatial
 from resync_robot.core.calibration_record import CalibrationLimits, CalibrationRecord, read_limits, read_record
 from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.core.sensor_noise import SensorNoise, read_noise
-from resync_robot.core.tables import check_number
+from resync_robot.core.tables import check_names, check_number, finite, shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,37 +171,6 @@ _VECTORS = {
     "acceleration_limit": 6,
     "jerk_limit": 6,
 }
-_ARM = ("model", "world_T_base", "home", "velocity_limit", "acceleration_limit", "jerk_limit")
-_GRIPPER = ("model", "tip_offset", "max_opening", "max_force", "finger_thickness", "finger_width")
-_CAMERA = (
-    "name",
-    "mount",
-    "serial",
-    "pose",
-    "width",
-    "height",
-    "fx",
-    "fy",
-    "cx",
-    "cy",
-    "position_sigma",
-    "rotation_sigma",
-)
-_CONTROLLER = (
-    "address",
-    "payload",
-    "payload_centre",
-    "lead",
-    "freshness",
-    "watchdog",
-    "gripper_table",
-    "gripper_force",
-    "force_limit",
-    "workspace_low",
-    "workspace_high",
-    "full_speed",
-    "emulated",
-)
 _TEXT = ("address", "checkpoint", "vocabulary", "model", "name", "mount", "serial", "provenance")
 
 
@@ -232,24 +201,20 @@ def load_rig(path: Path | None = None) -> Rig:
             raise ConfigError(f"cannot read the rig file {path}: {error}", "give --rig FILE.toml") from None
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
+        # Also an integer of thousands of digits, which the parser does not take for its own error.
         raise ConfigError(f"{where} is no valid TOML: {error}") from None
 
-    def section(table: Any, fields: tuple[str, ...], title: str) -> dict[str, Any]:
-        if not isinstance(table, Mapping):
+    def section(table: Any, kind: type, title: str, besides: tuple[str, ...] = ()) -> dict[str, Any]:
+        """The fields of the dataclass `kind`, but for those that are read elsewhere."""
+        if table is None:
             raise ConfigError(f"{where}: [{title}] is missing")
-        extra, missing = sorted(set(table) - set(fields)), sorted(set(fields) - set(table))
-        if extra or missing:
-            raise ConfigError(
-                f"{where}: [{title}] has "
-                + " and ".join(
-                    f"{what} field{'s' * (len(which) > 1)} {', '.join(which)}"
-                    for what, which in (("unknown", extra), ("no", missing))
-                    if which
-                ),
-                f"its fields are {', '.join(fields)}",
-            )
-        return {name: _field(table[name], name, f"{where}: [{title}] {name}") for name in fields}
+        check_names(table, kind, f"{where}: [{title}]", whole=True, besides=besides)
+        return {
+            f.name: _field(table[f.name], f.name, f"{where}: [{title}] {f.name}")
+            for f in fields(kind)
+            if f.name in table
+        }
 
     def camera(table: Any, title: str) -> CameraRig:
         record, noise = None, SensorNoise()
@@ -258,18 +223,18 @@ def load_rig(path: Path | None = None) -> Rig:
                 record = read_record(table["calibration"], f"{where}: [{title}.calibration]")
             noise = read_noise(table.get("noise", {}), f"{where}: [{title}.noise]")
             table = {k: v for k, v in table.items() if k not in ("calibration", "noise")}
-        return CameraRig(**section(table, _CAMERA, title), calibration=record, noise=noise)
+        return CameraRig(**section(table, CameraRig, title, ("calibration", "noise")), calibration=record, noise=noise)
 
     def sam3(table: Any) -> Sam3Rig:
         prompts = table.get("prompts") if isinstance(table, Mapping) else None
         if not isinstance(prompts, Mapping) or not prompts or not all(isinstance(p, str) for p in prompts.values()):
             raise ConfigError(f"{where}: [sam3.prompts] must name what to ask for", 'write it as: b0 = "red block"')
-        paths = section({k: v for k, v in table.items() if k != "prompts"}, ("checkpoint", "vocabulary"), "sam3")
+        paths = section({k: v for k, v in table.items() if k != "prompts"}, Sam3Rig, "sam3", ("prompts",))
         return Sam3Rig(prompts=dict(prompts), **{name: Path(value) for name, value in paths.items()})
 
     def hues(table: Any) -> Mapping[str, float]:
         if not isinstance(table, Mapping):
-            raise ConfigError(f"{where}: [hues] must be a table, not {table!r}", "write it as: b0 = 0.0")
+            raise ConfigError(f"{where}: [hues] must be a table, not {shown(table)}", "write it as: b0 = 0.0")
         for name, value in table.items():
             check_number(value, f"{where}: [hues] {name}")
             if value >= 1:
@@ -277,20 +242,20 @@ def load_rig(path: Path | None = None) -> Rig:
         return {name: float(value) for name, value in table.items()}
 
     tables = ("arm", "gripper", "cameras", "calibration_limits", "controller", "hues", "sam3")
-    top = section({k: v for k, v in data.items() if k not in tables}, ("name", "provenance"), "")
+    top = section({k: v for k, v in data.items() if k not in tables}, Rig, "", (*tables, "hash"))
     cameras = data.get("cameras")
     if not isinstance(cameras, list) or not cameras:
         raise ConfigError(f"{where}: no [[cameras]]")
     return Rig(
         name=top["name"],
         provenance=top["provenance"],
-        arm=ArmRig(**section(data.get("arm"), _ARM, "arm")),
-        gripper=GripperRig(**section(data.get("gripper"), _GRIPPER, "gripper")),
+        arm=ArmRig(**section(data.get("arm"), ArmRig, "arm")),
+        gripper=GripperRig(**section(data.get("gripper"), GripperRig, "gripper")),
         cameras=tuple(camera(table, f"cameras.{i}") for i, table in enumerate(cameras)),
         hash=hashlib.sha256(text.encode()).hexdigest()[:16],
         calibration_limits=read_limits(data.get("calibration_limits", {}), f"{where}: [calibration_limits]"),
         controller=(
-            ControllerRig(**section(data["controller"], _CONTROLLER, "controller")) if "controller" in data else None
+            ControllerRig(**section(data["controller"], ControllerRig, "controller")) if "controller" in data else None
         ),
         hues=hues(data.get("hues", {})),
         sam3=sam3(data["sam3"]) if "sam3" in data else None,
@@ -300,7 +265,7 @@ def load_rig(path: Path | None = None) -> Rig:
 def _field(value: Any, name: str, where: str) -> Any:
     if name in _TEXT:
         if not isinstance(value, str):
-            raise ConfigError(f"{where} must be text, not {value!r}")
+            raise ConfigError(f"{where} must be text, not {shown(value)}")
         if name == "address":
             try:
                 return str(ipaddress.IPv4Address(value))
@@ -310,9 +275,9 @@ def _field(value: Any, name: str, where: str) -> Any:
             raise ConfigError(f"{where} is '{value}'", "allowed: flange, world")
         return value
     if name in _VECTORS:
-        numbers = isinstance(value, list) and all(isinstance(v, int | float) and not isinstance(v, bool) for v in value)
-        if not numbers or len(value) != _VECTORS[name] or not np.all(np.isfinite(value)):
-            raise ConfigError(f"{where} must be {_VECTORS[name]} numbers, not {value!r}")
+        numbers = isinstance(value, list) and all(finite(v) is not None for v in value)
+        if not numbers or len(value) != _VECTORS[name]:
+            raise ConfigError(f"{where} must be {_VECTORS[name]} numbers, not {shown(value)}")
         vector = np.asarray(value, dtype=np.float64)
         if _VECTORS[name] == 7:
             norm = float(np.linalg.norm(vector[3:]))
@@ -326,31 +291,32 @@ def _field(value: Any, name: str, where: str) -> Any:
         return _gripper_table(value, where)
     if name in ("full_speed", "emulated"):
         if not isinstance(value, bool):
-            raise ConfigError(f"{where} must be true or false, not {value!r}")
+            raise ConfigError(f"{where} must be true or false, not {shown(value)}")
         return value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise ConfigError(f"{where} must be a number, not {value!r}")
+    number = finite(value)
+    if number is None:
+        raise ConfigError(f"{where} must be a number, not {shown(value)}")
     if name in ("width", "height"):
-        if int(value) != value or value <= 0:
+        if not number.is_integer() or number <= 0:
             raise ConfigError(f"{where} must be a positive number of pixels, not {value!r}")
-        return int(value)
-    if value < 0:
+        return int(number)
+    if number < 0:
         raise ConfigError(f"{where} must not be negative")
-    if name in _RANGES and not _RANGES[name][0] <= value <= _RANGES[name][1]:
+    if name in _RANGES and not _RANGES[name][0] <= number <= _RANGES[name][1]:
         raise ConfigError(f"{where} is {value}", f"allowed: {_RANGES[name][0]} to {_RANGES[name][1]}")
-    return float(value)
+    return number
 
 
 def _gripper_table(value: Any, where: str) -> Float[np.ndarray, "n 2"]:
     try:
         table = np.array(value, dtype=np.float64).reshape(-1, 2)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         table = np.empty((0, 2))
     counts, openings = table[:, 0], table[:, 1]
     rising, falling = bool(np.all(np.diff(counts) > 0)), bool(np.all(np.diff(openings) < 0))
     if len(table) < 2 or not (rising and falling and counts[0] >= 0 and counts[-1] <= 255 and openings[-1] >= 0):
         raise ConfigError(
-            f"{where} must be pairs of counts that rise to 255 at most and openings in m that fall, not {value!r}",
+            f"{where} must be pairs of counts that rise to 255 at most and openings in m that fall, not {shown(value)}",
             "measure them: gripper_table = [[3, 0.14], [230, 0.0]]",
         )
     return table

@@ -52,12 +52,12 @@ def matrix_from_quat(quat: Float[Array, "*b 4"]) -> Array:
     """(..., 3, 3) from wxyz; the quaternion is normalised first."""
     quat = np.asarray(quat, dtype=np.float64)
     w, x, y, z = np.moveaxis(quat / np.linalg.norm(quat, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    entries = [
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     ]
-    return np.stack([np.stack(r, -1) for r in rows], -2)
+    return np.stack(entries, -1).reshape(*quat.shape[:-1], 3, 3)
 
 
 def quat_from_matrix(rotation: Float[Array, "*b 3 3"]) -> Array:

@@ -102,6 +102,9 @@ class Exists(_Quantified):
 
 Form = Not | ForAll | Exists
 
+_Values = dict[str, dict[tuple[Object, ...], float]]
+"""Name of a predicate -> grounding -> probability."""
+
 
 def form_to_json(form: Form) -> dict[str, object]:
     """Plain data for a library record; `form_from_json` is the inverse."""
@@ -146,7 +149,26 @@ class Abstraction:
 
     def abstract(self, state: State) -> dict[Atom, float]:
         """Every ground atom over the state's objects with the probability that it holds."""
-        known: dict[str, dict[tuple[Object, ...], float]] = {}
+        return self._abstract(state, {})
+
+    def abstract_each(self, states: Sequence[State]) -> list[dict[Atom, float]]:
+        """`abstract` of several states of the same objects; a batch classifier judges them all in one pass."""
+        known: list[_Values] = [{} for _ in states]
+        # Side by side in one state, each under names of its own.
+        aliases = [{o: Object(f"{o.name}/{i}", o.type) for o in state.objects} for i, state in enumerate(states)]
+        together = State({alias[o]: s[o] for s, alias in zip(states, aliases, strict=True) for o in s.objects})
+        for predicate in self.predicates:
+            classifier = self.classifiers[predicate.name]
+            groundings = _groundings(predicate, states[0].objects) if states else []
+            if isinstance(classifier, Form) or not isinstance(classifier, BatchClassifier) or not groundings:
+                continue
+            renamed = [tuple(alias[o] for o in args) for alias in aliases for args in groundings]
+            values = classifier.batch(together, renamed).reshape(len(states), -1)
+            for judged, row in zip(known, values, strict=True):
+                judged[predicate.name] = dict(zip(groundings, map(float, row), strict=True))
+        return [self._abstract(state, judged) for state, judged in zip(states, known, strict=True)]
+
+    def _abstract(self, state: State, known: _Values) -> dict[Atom, float]:
         return {
             Atom(predicate, args): value
             for predicate in self.predicates
@@ -156,6 +178,10 @@ class Abstraction:
     def true_atoms(self, state: State) -> Atoms:
         """The atoms that hold: those above `HOLDS`."""
         return frozenset(a for a, p in self.abstract(state).items() if p > HOLDS)
+
+    def likely_atoms(self, state: State) -> Atoms:
+        """The atoms to go by where those that surely hold leave no way to act; here the same ones."""
+        return self.true_atoms(state)
 
     def is_derived(self, predicate: Predicate) -> bool:
         """Does the predicate follow from another one, rather than from the state?"""
@@ -188,9 +214,7 @@ class Abstraction:
         form = self.classifiers[predicate.name]
         return form.base if isinstance(form, Form) else predicate
 
-    def _values(
-        self, predicate: Predicate, state: State, known: dict[str, dict[tuple[Object, ...], float]]
-    ) -> dict[tuple[Object, ...], float]:
+    def _values(self, predicate: Predicate, state: State, known: _Values) -> dict[tuple[Object, ...], float]:
         if predicate.name in known:
             return known[predicate.name]
         groundings = _groundings(predicate, state.objects)

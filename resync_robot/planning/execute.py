@@ -145,11 +145,14 @@ def plan_f(
                 model.operators, model.abstraction, state.objects, atoms, goal, s.heuristic, supposed_before
             )
         except PlanningError as error:
-            if not distrusted:
+            # Doubt that leaves no way to act is no use: believe what is most likely, and try once more.
+            likely = model.abstraction.likely_atoms(state)
+            if likely == atoms:
                 return ended(End.NO_PLAN, error.what)
-            # Doubt that leaves no way to act is no use: believe the classifiers again, and try once more.
-            atoms, reason = atoms | _doubted(model, state, distrusted), "nothing else is left to try"
+            atoms, reason = likely, "nothing else is left to try than to believe what is most likely"
             distrusted.clear()
+            if goal <= atoms:
+                return ended(End.GOAL, "as far as can be told: not all of it is certain")
             continue
         plans.append(found)
         supposed_before.add(supposed)
@@ -231,10 +234,6 @@ def _look(world: World, model: Model, distrusted: set[Atom], listener: Listener)
     probabilities = {atom: (0.0 if atom in distrusted else p) for atom, p in model.abstraction.abstract(state).items()}
     listener.on_perceived(state, probabilities)
     return state, frozenset(a for a, p in probabilities.items() if p > HOLDS)
-
-
-def _doubted(model: Model, state: State, distrusted: set[Atom]) -> Atoms:
-    return frozenset(a for a in distrusted if model.abstraction.abstract(state).get(a, 0.0) > HOLDS)
 
 
 def _distrust(model: Model, failed: GroundSkill) -> Atom | None:

@@ -40,13 +40,11 @@ INSERT = Operator(
 def holding(state: State, objects: tuple[Object, ...]) -> float:
     """Is the block between pads that are closed on it?"""
     robot, block = objects
-    tip_T_block = spatial.inverse(spatial.pose_from_features(state[robot][:7])) @ spatial.pose_from_features(
-        state[block][:7]
-    )
-    width = state.get(block, "size_x", "size_y").max()
-    x, y, z = np.abs(tip_T_block[:3, 3])
-    gripped = state.get(robot, "opening")[0] < width + 0.008
-    return float(gripped and x < 0.03 and y < 0.02 and z < 0.04)
+    if state.get(robot, "opening")[0] >= state.get(block, "size_x", "size_y").max() + 0.008:
+        return 0.0
+    offset = state.get(block, "x", "y", "z") - state.get(robot, "x", "y", "z")
+    x, y, z = np.abs(offset @ spatial.matrix_from_quat(state[robot][3:7]))
+    return float(x < 0.03 and y < 0.02 and z < 0.04)
 
 
 def hand_empty(state: State, objects: tuple[Object, ...]) -> float:

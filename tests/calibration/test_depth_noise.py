@@ -57,6 +57,8 @@ def test_pictures_that_tell_nothing_are_refused() -> None:
     usual = stills(SensorNoise())
     with pytest.raises(CalibrationError, match=r"3 pictures of one place(.|\n)*--frames"):
         fit_noise(WRIST, [usual[0][:3]])
+    with pytest.raises(CalibrationError, match=r"424 x 240 px; the rig says that 'wrist' has 848 x 480(.|\n)*--rig"):
+        fit_noise(replace(WRIST, width=848, height=480), usual)
     with pytest.raises(CalibrationError, match="0 pictures"):
         fit_noise(WRIST, [])
     with pytest.raises(CalibrationError, match="slant"):

@@ -36,7 +36,7 @@ def test_a_record_is_read_as_written() -> None:
 def test_every_field_is_needed_and_checked(name: str) -> None:
     table = asdict(GOOD)
     missing = {k: v for k, v in table.items() if k != name}
-    with pytest.raises(ConfigError, match=f"here has no {name}"):
+    with pytest.raises(ConfigError, match=f"here has no field {name}"):
         read_record(missing, "here")
     for wrong in ([], True, float("nan"), -1):
         with pytest.raises(ConfigError, match=f"here: {name} must be"):
@@ -44,11 +44,11 @@ def test_every_field_is_needed_and_checked(name: str) -> None:
 
 
 def test_what_is_no_such_table_is_refused() -> None:
-    with pytest.raises(ConfigError, match="unknown colour"):
+    with pytest.raises(ConfigError, match="unknown field colour"):
         read_record({**asdict(GOOD), "colour": 1}, "here")
     with pytest.raises(ConfigError, match="must be a table"):
         read_record(3, "here")
-    with pytest.raises(ConfigError, match="unknown max_furlongs"):
+    with pytest.raises(ConfigError, match="unknown field max_furlongs"):
         read_limits({"max_furlongs": 1}, "here")
     with pytest.raises(ConfigError, match="max_mm must be a number"):
         read_limits({"max_mm": "1"}, "here")
@@ -92,5 +92,5 @@ def test_a_rig_file_carries_records_and_limits(tmp_path: Path) -> None:
     assert rig.camera("wrist").calibration is None
     assert rig.calibration_limits == CalibrationLimits(max_age_days=7)
     path.write_text(f"{BUILT_IN}\n[cameras.calibration]\nviews = 3\n")
-    with pytest.raises(ConfigError, match=r"cameras\.2\.calibration\] has no calibrated"):
+    with pytest.raises(ConfigError, match=r"cameras\.2\.calibration\] has no fields calibrated"):
         load_rig(path)

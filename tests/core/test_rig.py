@@ -13,6 +13,8 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.sensor_noise import SensorNoise
 from tests.emulators import RIG_FILE
 
+LONG = "0x1" + "0" * 5000
+"""An integer that no float holds, and that Python refuses to write out in tens."""
 BUILT_IN = files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
 CONNECTED = RIG_FILE.read_text()
 
@@ -58,7 +60,7 @@ def test_a_missing_field_is_named(section: str, name: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("section", "name"), places())
-@pytest.mark.parametrize("value", ["true", "[1.0, 2.0]", "{ a = 1 }", "nan", "inf"])
+@pytest.mark.parametrize("value", ["true", "[1.0, 2.0]", "{ a = 1 }", "nan", "inf", LONG])
 def test_a_mistyped_field_is_named(section: str, name: str, value: str, tmp_path: Path) -> None:
     if value == "true" and name in ("emulated", "full_speed"):
         return
@@ -122,7 +124,7 @@ def test_noise_and_hues_are_read_where_they_are_given(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("[cameras.noise]\nsharpness = 1.0", "unknown sharpness"),
+        ("[cameras.noise]\nsharpness = 1.0", "unknown field sharpness"),
         ("[cameras.noise]\nripple_px = true", "ripple_px must be a number"),
         ("[cameras.noise]\nhole_share = 1.5", "hole_share is 1.5; a share is at most 1"),
         ("[cameras.noise]\nbaseline = 0.0", "baseline must be more than 0"),
@@ -139,7 +141,26 @@ def test_bad_noise_and_hues_are_refused(text: str, expected: str, tmp_path: Path
     assert expected in refused(BUILT_IN + text, tmp_path)
 
 
-SCRAPS = ("[", "]", "=", '"', "nan", "-1", "1e999", "[cameras.noise]", "[hues]", "\n", "true", "{}", "#", "\x00", "ü")
+SCRAPS = (
+    "[",
+    "]",
+    "=",
+    '"',
+    "nan",
+    "-1",
+    "1e999",
+    "9" * 400,
+    "0x" + "f" * 5000,
+    "9" * 5000,
+    "[cameras.noise]",
+    "[hues]",
+    "\n",
+    "true",
+    "{}",
+    "#",
+    "\x00",
+    "ü",
+)
 
 
 @pytest.mark.slow

@@ -79,3 +79,27 @@ def test_forms_survive_json(form) -> None:
         form_from_json({**form_to_json(form), "base": "Other"}, {"Clear": CLEAR})
     with pytest.raises(UnknownNameError):
         form_from_json({**form_to_json(form), "form": "Most"}, {"Clear": CLEAR})
+
+
+@given(st.lists(st.floats(0, 1), min_size=8, max_size=8))
+def test_several_states_are_judged_in_one_pass_as_each_by_itself(values) -> None:
+    class Reads(Table):
+        """Judges by a feature of the state, so that a mix-up of states shows."""
+
+        def batch(self, state, groundings):
+            self.calls += 1
+            return np.array([state.get(g[0], "x")[0] for g in groundings])
+
+    high = Predicate("High", (BLOCK,))
+    forms = {f.predicate.name: f for f in (FREE, Not(high))}
+    reads = Reads({})
+    classifiers = {"Clear": reads, "High": lambda state, objects: state.get(objects[0], "y")[0], **forms}
+    abstraction = Abstraction([CLEAR, high, *(f.predicate for f in forms.values())], classifiers)
+    states = [
+        STATE.with_features(BLOCKS[0], x=values[i], y=values[i + 1]).with_features(BLOCKS[1], x=values[i + 2])
+        for i in range(0, 6, 2)
+    ]
+    each = abstraction.abstract_each(states)
+    assert reads.calls == 1
+    assert each == [abstraction.abstract(s) for s in states]
+    assert abstraction.abstract_each([]) == []

@@ -15,6 +15,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, Predicate, Type
 from resync_robot.core.symbols import Variable as V
 from resync_robot.core.world import Observation
+from resync_robot.doubt import DoubtingAbstraction
 from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.execute import Affordance, End, ExecuteSettings, Listener, Model, plan_f, run_skill
 from resync_robot.planning.search import Plan
@@ -324,7 +325,39 @@ def test_doubt_that_leaves_no_plan_is_dropped_and_the_skill_tried_again() -> Non
     without_wiping = model(world, Fill=fills, operators=(UNLID, FILL), affordances=AFFORDANCES)
     result = plan_f(world, without_wiping, GOAL, listener=notes)
     assert result.success
-    assert notes.reasons == ["start", "nothing else is left to try"]
+    assert notes.reasons == ["start", "nothing else is left to try than to believe what is most likely"]
+
+
+@dataclass
+class Murky(Kitchen):
+    """A kitchen in which nobody sees well how clean the first cup is."""
+
+    def perceive(self) -> State:
+        seen = self.state.with_features(A, clean=0.6 if self.state.get(A, "full")[0] < 0.5 else 1.0)
+        return State({cup: seen[cup] for cup in seen}, {A: np.diag([0.0, 0.0, 0.25**2])})
+
+
+def test_where_doubt_leaves_no_plan_the_likelier_atoms_are_planned_with() -> None:
+    world, notes = Murky(kitchen(open="a").state), Notes()
+    sure = model(world, operators=(UNLID, FILL))
+    doubting = DoubtingAbstraction(sure.abstraction)
+    assert CLEAN(A) in doubting.doubtful(world.perceive())
+    unsure = Model(sure.skills, doubting, sure.operators)
+    result = plan_f(world, unsure, GOAL, listener=notes)
+    assert result.success and result.reason == ""
+    assert notes.reasons == ["nothing else is left to try than to believe what is most likely"]
+    # Where something can be done about it, that comes first.
+    wiping, notes = Model(sure.skills, doubting, (UNLID, FILL, WIPE)), Notes()
+    plan_f(Murky(kitchen(open="a").state), wiping, GOAL, ExecuteSettings(max_skills=1), notes)
+    assert notes.plans[0] == "Wipe(a), Fill(a)"
+
+
+def test_a_likely_goal_that_nothing_can_make_surer_says_so() -> None:
+    world = Murky(kitchen().state)
+    result = plan_f(world, Model({}, DoubtingAbstraction(model(world).abstraction), ()), frozenset({CLEAN(A)}))
+    assert result.success and "not all of it is certain" in result.reason
+    result = plan_f(world, Model({}, DoubtingAbstraction(model(world).abstraction), ()), frozenset({OPEN(A)}))
+    assert result.end is End.NO_PLAN
 
 
 def test_a_reaction_is_asked_after_a_failure_and_its_skill_is_run() -> None:
