@@ -210,7 +210,7 @@ class DeployedWorld:
             if error is not None:
                 self._witness.on_unsettled(error.names, error.what)
             if tipped := self.belief.report.tipped:
-                self._witness.on_unsettled(tipped, f"{', '.join(tipped)} does not stand upright")
+                self._witness.on_unsettled(tipped, f"not standing upright: {', '.join(tipped)}")
             if self._abstraction and (doubtful := self._abstraction.doubtful(state)):
                 self._witness.on_doubt(doubtful, looks)
         return state
