@@ -8,10 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from perception.blocks import BlockEstimate, Glimpse
+from perception.known import (
+    LIFTED,
+    Known,
+    averaged_sizes,
+    measured,
+    not_a_point_of,
+    out_of_sight,
+    put_under,
+    underside,
+)
 from perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError, name_blocks
 from perception.objects import SceneEstimate, SceneEstimator
-from perception.pose import HEIGHT_SIGMA, inside_box, tie_height, upright_covariance, yaw_variance_of
+from perception.pose import inside_box, upright_covariance, yaw_variance_of
 from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
@@ -25,15 +34,6 @@ AT_TIP = (0.030, 0.020, 0.040)
 """How far a block's centre may lie from the tips, along x, y and z of the tool, when the pads close on it, m."""
 BENEATH = 0.045
 """Horizontal distance from a block within which another one counts as under it, m."""
-LIFTED = 0.020
-"""A block whose underside is this far above the ground stands on something, m."""
-SEAT_SIGMA = 0.001
-"""Of the lower face of a seated block over the upper face of the one below it, m."""
-OUT_OF_SIGHT_SIGMA, OUT_OF_SIGHT_YAW = 0.02, 0.3
-"""Of the old place (m) and yaw (rad) of a block that should be there and was not seen: nobody says where it went."""
-TIPPED_SIGMA, TIPPED_TILT = 0.01, 0.7
-"""What a block that does not stand upright adds to place and sizes, m, which are measured as if it did, and to its
-tilt, rad."""
 
 
 @dataclass(frozen=True)
@@ -47,16 +47,6 @@ class ScanReport:
     tipped: tuple[str, ...] = ()
     ambiguous: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class _Known:
-    """One object's estimate. `scans`: how many have measured its size, `height_known` whether its height was seen."""
-
-    features: np.ndarray
-    covariance: np.ndarray
-    scans: int = 1
-    height_known: bool = True
 
 
 class Belief:
@@ -88,7 +78,7 @@ class Belief:
         for block in self._blocks:
             if block.name not in names:
                 raise UnknownNameError("block of the catalogue", block.name, names)
-        self._known: dict[Object, _Known] = {}
+        self._known: dict[Object, Known] = {}
         self._held: Object | None = None
         self._tip_T_held = np.eye(4)
         self._at_grasp: dict[Object, np.ndarray] = {}
@@ -135,13 +125,13 @@ class Belief:
         scene, ambiguous = name_blocks(
             scene, self._estimator.catalogue.look_alikes, [b.name for b in self._blocks], held, places
         )
-        box_sizes, scans = self._averaged_sizes(self._box, scene.box.features[7:])
-        self._known[self._box] = _Known(np.array([*scene.box.features[:7], *box_sizes]), scene.box.covariance, scans)
+        box_sizes, scans = averaged_sizes(self._known.get(self._box), scene.box.features[7:])
+        self._known[self._box] = Known(np.array([*scene.box.features[:7], *box_sizes]), scene.box.covariance, scans)
         seen = [b for b in self._blocks if b.name in scene.blocks]
         if self._held is not None and self._held in seen:
             self._change_grasp(seen, robot_features)
         for block in seen:
-            self._take(block, scene.blocks[block.name])
+            self._known[block] = measured(self._known.get(block), scene.blocks[block.name])
         unseen = [b for b in self._blocks if b not in seen and b != self._held and b.name not in ambiguous]
         # From above down, as last believed: what hides under one block may hide another in its turn.
         unseen.sort(key=lambda b: -self._known[b].features[2] if b in self._known else 0.0)
@@ -160,8 +150,8 @@ class Belief:
         )
         self._ambiguous = ambiguous
         for block in self._blocks:
-            if block.name in (*missing, *ambiguous):
-                self._lose_sight_of(block)
+            if block in self._known and block.name in (*missing, *ambiguous):
+                self._known[block] = out_of_sight(self._known[block])
         unsettled: list[UnsettledSceneError] = []
         if missing:
             unsettled.append(MissingObjectsError(missing, self.report.seen, scene.without_depth))
@@ -296,47 +286,9 @@ class Belief:
             known, features=np.concatenate([pose, known.features[7:]]), covariance=covariance
         )
 
-    def _memory(self) -> tuple[dict[Object, _Known], Object | None, np.ndarray, dict[Object, np.ndarray]]:
+    def _memory(self) -> tuple[dict[Object, Known], Object | None, np.ndarray, dict[Object, np.ndarray]]:
         """What a scan may change and a better look at the same scene must find as it was."""
         return dict(self._known), self._held, self._tip_T_held, self._at_grasp
-
-    def _lose_sight_of(self, block: Object) -> None:
-        known = self._known.get(block)
-        if known is None:
-            return
-        covariance = known.covariance.copy()
-        place = np.maximum(np.diag(covariance)[:3], [OUT_OF_SIGHT_SIGMA**2, OUT_OF_SIGHT_SIGMA**2, 0.0])
-        yaw_variance = max(yaw_variance_of(covariance), OUT_OF_SIGHT_YAW**2)
-        covariance[:7, :7] = upright_covariance(place, yaw_variance, known.features[3:7])
-        self._known[block] = replace(known, covariance=covariance)
-
-    def _take(self, block: Object, estimate: BlockEstimate) -> None:
-        before = self._known.get(block)
-        sizes, scans = self._averaged_sizes(block, estimate.features[7:])
-        height_known = not estimate.stacked
-        covariance = estimate.covariance.copy()
-        if before is not None and before.height_known != height_known:
-            # Only a block that stands on the ground shows its own height.
-            sizes[2] = estimate.features[9] if height_known else before.features[9]
-            if not height_known:
-                tie_height(covariance, float(np.sqrt(before.covariance[9, 9])), HEIGHT_SIGMA)
-            height_known = True
-        quat = estimate.features[3:7]
-        if before is not None:
-            quat = _nearest_quarter_turn(quat, before.features[3:7])
-        features = np.array([*estimate.features[:2], estimate.top_z - sizes[2] / 2, *quat, *sizes])
-        covariance[:7, :7] = upright_covariance(np.diag(covariance)[:3], yaw_variance_of(covariance), quat)
-        if not estimate.upright:
-            half_tilt = TIPPED_TILT / 2
-            covariance += np.diag(np.array([*[TIPPED_SIGMA] * 3, 0, half_tilt, half_tilt, 0, *[TIPPED_SIGMA] * 3]) ** 2)
-        self._known[block] = _Known(features, covariance, scans, height_known)
-
-    def _averaged_sizes(self, obj: Object, sizes: np.ndarray) -> tuple[np.ndarray, int]:
-        """Mean over all scans so far and this one, and how many those are."""
-        before = self._known.get(obj)
-        if before is None:
-            return sizes.copy(), 1
-        return before.features[7:] + (sizes - before.features[7:]) / (before.scans + 1), before.scans + 1
 
     def _hide(self, block: Object, covers: Sequence[Object], scene: SceneEstimate) -> bool:
         """Is a block that was not found plausibly under another one? If so, its estimate is brought up to date."""
@@ -350,56 +302,19 @@ class Belief:
         over = [self._known[c] for c in covers if self._is_over(self._known[c].features, place)]
         if not over:
             return False
-        self._put_under(block, min(over, key=lambda k: _underside(k.features)), glimpse)
+        cover = min(over, key=lambda k: underside(k.features))
+        if glimpse is None and before is not None:
+            self._known[block] = not_a_point_of(before)
+        else:
+            self._known[block] = put_under(before, cover, self._ground(cover.features[:2]))
         return True
 
     def _is_over(self, cover: np.ndarray, place: np.ndarray) -> bool:
         """Does it stand there on something?"""
-        lifted = _underside(cover) > self._ground(cover[:2]) + LIFTED
+        lifted = underside(cover) > self._ground(cover[:2]) + LIFTED
         return bool(lifted and np.hypot(*(cover[:2] - place)) < BENEATH)
-
-    def _put_under(self, block: Object, cover: _Known, glimpse: Glimpse | None) -> None:
-        before = self._known.get(block)
-        if glimpse is None and before is not None:
-            # Not one point of it: the last estimate is all there is, and the hand has been at work since.
-            covariance = before.covariance.copy()
-            covariance[:2, :2] += np.eye(2) * 0.004**2
-            self._known[block] = replace(before, covariance=covariance)
-            return
-        # A stud in a socket leaves 1.5 mm of play a side, so the block above tells where this one stands.
-        above = cover.features
-        quat, size, scans = above[3:7], above[7:10], 0
-        # The blocks of a tower share its height; to one whose height is its own, the next is a stranger.
-        size_sigma = 0.005 if cover.height_known else float(np.sqrt(cover.covariance[9, 9]))
-        if before is not None:
-            quat, size = _nearest_quarter_turn(quat, before.features[3:7]), before.features[7:10]
-            size_sigma, scans = 0.0015, before.scans
-        # Where exactly the seam is, nobody may know; that the two meet there is what the relation of both hangs on.
-        bottom, face_sigma, hangs = _underside(above) - size[2], SEAT_SIGMA, True
-        if before is not None and abs(_underside(before.features) - self._ground(above[:2])) < LIFTED / 2:
-            # It stood on the ground, and nothing lifts what something is put upon. Where the cover is too high for
-            # that, it lies on the stud and is not seated: the belief must not make it fit.
-            bottom, face_sigma, hangs = self._ground(above[:2]), HEIGHT_SIGMA, False
-        features = np.array([*above[:2], bottom + size[2] / 2, *quat, *size])
-        covariance = np.zeros((10, 10))
-        variance = np.array([*(np.diag(cover.covariance)[:2] + 0.001**2), 0.0])
-        covariance[:7, :7] = upright_covariance(variance, yaw_variance_of(cover.covariance) + 0.03**2, quat)
-        covariance[7:, 7:] = np.eye(3) * size_sigma**2
-        tie_height(covariance, size_sigma, face_sigma, from_top=hangs)
-        known = before is not None and before.height_known
-        self._known[block] = _Known(features, covariance, max(scans, 1), known)
 
     def _ground(self, xy: np.ndarray) -> float:
         catalogue = self._estimator.catalogue
         inside = inside_box(xy, self._known[self._box].features)
         return catalogue.table_z + (catalogue.floor_thickness if inside else 0.0)
-
-
-def _underside(features: np.ndarray) -> float:
-    return float(features[2] - features[9] / 2)
-
-
-def _nearest_quarter_turn(quat: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """The same square's orientation, turned by quarters to be nearest to `reference`; both upright."""
-    away = float(spatial.wrap(spatial.yaw_of(quat) - spatial.yaw_of(reference), np.pi / 2))
-    return spatial.quat_from_yaw(spatial.wrap(spatial.yaw_of(reference) + away))
