@@ -17,6 +17,7 @@ from policies.diffusion import IMAGES, SIZES, DiffusionSettings, DiffusionStuden
 from policies.training import DistilSettings, Trainer, chunks_of, statistics_of
 from resync_robot.core.errors import PolicyError, TrainingError
 from resync_robot.core.rig import CameraRig, load_rig
+from resync_robot.distil import PLANS
 from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS
 from resync_robot.learning.demonstrations import Demonstrations
 
@@ -64,6 +65,10 @@ def test_a_saved_policy_gives_the_same_answers(student: DiffusionStudent, saved:
         np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=1e-6, err_msg=name)
     assert before.steps.shape == (2, SMALL.horizon, 3)
     np.testing.assert_allclose(before.views.sum(-1), 1, atol=1e-5)
+
+
+def test_plans_demonstrate_in_the_size_that_their_policy_wants() -> None:
+    assert all(SIZES[plan.size].picture == plan.picture for plan in PLANS.values())
 
 
 def test_a_large_policy_has_larger_pictures_and_a_resnet() -> None:
