@@ -32,10 +32,11 @@ from resync_robot.learning.camera_view import (
     CameraPolicy,
     Chunks,
     Prediction,
+    Scanned,
     careful_steps,
     from_hand,
-    proprioception,
     says_done,
+    state_seen,
     window_at,
 )
 from resync_robot.learning.recovery_policy import project, within_reach
@@ -141,13 +142,13 @@ def _drive(
     m: MonitorSettings,
 ) -> Generator[JointTarget, Observation, bool]:
     """Steps until the policy says that it is done. Returns whether it did. Raises Stopped."""
-    watch = Watch(m, rig)
+    watch, scanned = Watch(m, rig), Scanned.of(hand.last.state, *objects[1:])
     chunks, thinking = Chunks(), _Thinking(policy, thread)
     done_in_a_row = 0
     for _ in range(s.max_decisions):
         goal = _reach(hand, objects, hand.position + from_hand(watch.step(chunks.next()), hand.yaw))
         if chunks.wanting and not thinking.busy:
-            thinking.ask(*_observe(hand, goal, rig, policy.picture, watch))
+            thinking.ask(*_observe(hand, goal, scanned, rig, policy.picture, watch))
         begin = hand.position.copy()
         for i in range(1, DECISION_STEPS + 1):
             hand.position = begin + (goal - begin) * i / DECISION_STEPS
@@ -254,8 +255,10 @@ class Watch:
             raise Stopped(f"the hand has not moved for {m.stall_decisions / 10:.0f} s")
 
 
-def _observe(hand: Hand, goal: np.ndarray, rig: Rig, picture: int, watch: Watch) -> tuple[np.ndarray, np.ndarray]:
-    """Pictures (views, p, p, 3) and state (12,) as in training: the step to `goal` is under way."""
+def _observe(
+    hand: Hand, goal: np.ndarray, scanned: Scanned, rig: Rig, picture: int, watch: Watch
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pictures (views, p, p, 3) and state (19,) as in training: the step to `goal` is under way."""
     seen = hand.last
     if seen.look is None:
         raise Stopped("there is no camera to look through")
@@ -266,7 +269,7 @@ def _observe(hand: Hand, goal: np.ndarray, rig: Rig, picture: int, watch: Watch)
         cutout = seen.look(view, window_at(camera, rig.camera_pose(camera, seen.arm), tip), picture)
         watch.picture(cutout, seen.time)
         pictures.append(cutout.colour)
-    return np.stack(pictures), proprioception(seen.arm, tip, goal, hand.yaw)
+    return np.stack(pictures), state_seen(seen.arm, tip, goal, hand.yaw, scanned)
 
 
 def _reach(hand: Hand, objects: tuple[Object, Object, Object], wanted: np.ndarray) -> np.ndarray:

@@ -49,7 +49,7 @@ from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 from lerobot.policies.factory import make_pre_post_processors
 
-VERSION = 2
+VERSION = 3
 RETRAIN = "train a new one: resync-robot train-sim"
 IMAGES = tuple(f"observation.images.{view}" for view in VIEWS)
 STATE, ACTION = "observation.state", "action"
@@ -179,7 +179,7 @@ class DiffusionStudent(nn.Module):
 
         Args:
             pictures: (n, views, 3, p, p) in [0, 1].
-            state: (n, 12), as measured.
+            state: (n, 19), as measured.
         """
         batch = {key: pictures[:, i] for i, key in enumerate(IMAGES)} | {STATE: state}
         batch = self.pre(batch)

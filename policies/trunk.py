@@ -12,6 +12,9 @@ import torchvision
 from torch import Tensor, nn
 
 NAME = "resnet_resync_small"
+SHARPNESS = 6.0
+"""Factor on the features. LeRobot's spatial softmax has no temperature: on features of size one it begins as an average
+over the whole picture, and learns to point at things only slowly."""
 
 
 class _Residual(nn.Module):
@@ -29,6 +32,11 @@ class _Residual(nn.Module):
         return self.relu(y + self.skip(x))
 
 
+class _Sharpen(nn.Module):
+    def forward(self, x: Tensor) -> Tensor:
+        return SHARPNESS * x
+
+
 class SmallResNet(nn.Module):
     """Stride 8: from (3, h, w) to (96, h / 8, w / 8), then the pooling and classifying layers that LeRobot drops."""
 
@@ -37,7 +45,7 @@ class SmallResNet(nn.Module):
         self.stem = nn.Sequential(nn.Conv2d(3, 32, 5, 2, 2, bias=False), nn.BatchNorm2d(32), nn.ReLU())
         self.layer1 = _Residual(32, 32, 2)
         self.layer2 = _Residual(32, 64, 2)
-        self.layer3 = nn.Sequential(nn.Conv2d(64, 96, 3, 1, 1, bias=False), nn.BatchNorm2d(96), nn.ReLU())
+        self.layer3 = nn.Sequential(nn.Conv2d(64, 96, 3, 1, 1, bias=False), nn.BatchNorm2d(96), nn.ReLU(), _Sharpen())
         self.avgpool = nn.AdaptiveAvgPool2d(1)
         self.fc = nn.Linear(96, 1)
 

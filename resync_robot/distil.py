@@ -277,7 +277,7 @@ def _train(
     import torch
 
     from policies.diffusion import SIZES, DiffusionStudent
-    from policies.training import DistilSettings, Trainer, statistics_of
+    from policies.training import DistilSettings, Trainer, has_bf16, statistics_of
 
     frames = dataset.read_shards(shards)
     frames = replace(frames, pictures=_blinded(frames.pictures, plan.blind))
@@ -286,7 +286,7 @@ def _train(
     first = dataset.read_shards([s for s in shards if s.name.startswith("turn-0")])
     # The statistics of the first turn stay: weights learned with them would not survive others.
     student: DiffusionStudent = DiffusionStudent.create(SIZES[plan.size], statistics_of(first), device)
-    trainer = Trainer(student, DistilSettings(batch=plan.batch, bf16=device == "cuda"), shares.until[-1], seed)
+    trainer = Trainer(student, DistilSettings(batch=plan.batch, bf16=has_bf16(device)), shares.until[-1], seed)
     trainer.use(frames)
     if checkpoint.exists():
         trainer.load(checkpoint)

@@ -13,7 +13,7 @@ from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.distil import DistilPlan, distil
 from resync_robot.knowledge import shipped_library
-from resync_robot.learning.camera_view import GAPS, CameraPolicy, proprioception
+from resync_robot.learning.camera_view import GAPS, CameraPolicy, state_seen
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.run_folder import RunFolder
 from sim_training.demos.recoveries import RenderedRecovery
@@ -62,7 +62,7 @@ def test_the_shipped_policy_sees_its_block_and_whether_it_is_stuck(tmp_path: Pat
     scenes = [RenderedRecovery(draw_start(domain, gaussians, 980_000_000 + i), rig, 0.0, i) for i in range(8)]
     seen = [scene.see() for scene in scenes]
     pictures = np.stack([o.pictures for o in seen])
-    states = np.stack([proprioception(o.q, o.tip, o.tip, s.yaw) for o, s in zip(seen, scenes, strict=True)])
+    states = np.stack([state_seen(o.q, o.tip, o.tip, s.yaw, s.scanned) for o, s in zip(seen, scenes, strict=True)])
     found = student(pictures, states)
     truth = np.stack([scene.block() for scene in scenes])
     assert np.median(np.abs(found.block[:, :2] - truth[:, :2])) < 0.008

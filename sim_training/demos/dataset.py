@@ -21,7 +21,7 @@ from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ
 from resync_robot.learning.demonstrations import Demonstrations
 from sim_training.demos.rollouts import Segment
 
-VERSION = 2
+VERSION = 3
 QUEUE = 10_000
 """Frames that wait for their encoder. LeRobot drops those that find its queue full, on a busy machine every few."""
 STAMP = "resync.json"

@@ -12,8 +12,10 @@ from sapien import render
 
 from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig, Rig
+from resync_robot.core.state import State
+from resync_robot.core.vocabulary import BOX
 from resync_robot.learning import camera_view, recovery_policy
-from resync_robot.learning.camera_view import PICTURE, VIEWS
+from resync_robot.learning.camera_view import PICTURE, VIEWS, Scanned
 from sim_training.demos.starts import Start
 from sim_training.mine import MOVED, SETTLE_STEPS
 from sim_training.recovery import FailedWorlds, draw_still, lagging
@@ -30,6 +32,12 @@ TILTED = 0.3
 there, but a student may, and must see it."""
 START_SPREAD = 0.006
 """m by which the scan that the approach relies on may be wrong, and some."""
+SCAN_SIGMA = {"stud": (0.0015, 0.0015, 0.001), "corner": (0.001, 0.001), "size": (0.0008, 0.0008)}
+"""m; errors of what the scan tells. Twice what is measured of simulated scans, for a block may stand in a corner that
+no camera sees well."""
+REMEMBERED = 0.5
+"""Share of the still moments for which the scan tells where the block stood before it was moved, as it does later in a
+recovery; of the others it tells where the block is now."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,7 @@ class RenderedRecovery:
         lag: most control steps that the arm is behind its commands.
         seed: of everything that is drawn here.
         picture: pixels of a side of what is seen.
-        still: no errors of cameras and no lag: for tests.
+        still: no errors of cameras or scan, and no lag: for tests.
     """
 
     def __init__(
@@ -71,9 +79,12 @@ class RenderedRecovery:
         self._cameras = {name: self._mount(rig.camera(name), still) for name in VIEWS}
         self._sensors = {n: NoisySensor(int(rng.integers(2**31)), rig.camera(n)) for n in VIEWS}
         self.lag = torch.tensor([0.0 if still else lag * rng.random()])
+        self._exact = still
         self._delayed = not still and rng.random() < 0.5
         self._before: np.ndarray | None = None
         self.stands = self._settle()
+        self._scan_rng = np.random.default_rng([seed, 67])
+        self.scanned = self._scan(start.task.initial)
         self.sent, self._last = self._place_arm()
         self.x = self._failure = self._state()
         self.previous = self.x
@@ -126,6 +137,9 @@ class RenderedRecovery:
         still = draw_still(self._failure, random)[0].double().numpy()
         block = still[recovery_policy.BLOCK]
         pose = spatial.pose_from_features(block[:7])
+        before = self.start.task.initial
+        now = before.with_features(self.start.block, x=block[0], y=block[1])
+        self.scanned = self._scan(before if self._scan_rng.random() < REMEMBERED else now)
         if self._rng.random() < TILTED:
             # Small leans are the ones that something can still be done about.
             pose = tilted(pose, block[7], block[9], int(self._rng.integers(4)), np.pi / 2 * self._rng.random() ** 2)
@@ -136,6 +150,13 @@ class RenderedRecovery:
         self._built.set_configuration(self._last, 0.0)
         self._before = None
         self.x = self.previous = self._state()
+
+    def _scan(self, state: State) -> Scanned:
+        """What a scan would tell of `state`, with its errors."""
+        box = next(o for o in state.objects if o.type == BOX)
+        true = Scanned.of(state, self.start.block, box)
+        sigma = {k: np.zeros(len(v)) if self._exact else np.array(v) for k, v in SCAN_SIGMA.items()}
+        return Scanned(*(getattr(true, k) + self._scan_rng.normal(0.0, v) for k, v in sigma.items()))
 
     def _settle(self) -> bool:
         places = {o: b.entity_pose.p.copy() for o, b in self._built.rigid.items() if b is not None}

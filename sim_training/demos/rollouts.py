@@ -20,9 +20,10 @@ from resync_robot.learning.camera_view import (
     DONE_IN_A_ROW,
     CameraPolicy,
     Chunks,
+    Scanned,
     careful_steps,
-    proprioception,
     says_done,
+    state_seen,
     to_hand,
 )
 from resync_robot.learning.recovery_policy import up_axis
@@ -68,7 +69,7 @@ class Segment:
 
     Attributes:
         pictures: (n, views, p, p, 3).
-        state: (n, 12), as in `camera_view.STATE_NAMES`.
+        state: (n, 19), as in `camera_view.STATE_NAMES`.
         action: (n, 3) m, the step that followed the one under way.
         recovered: (n,) was there nothing left to do?
         block: (n, 7), as in `camera_view.BLOCK_NAMES`.
@@ -102,7 +103,7 @@ class _Frames:
         self.recovered.append(recovered)
         self.block.append(scene.block())
 
-    def finish(self, yaw: float, ends: bool) -> Segment:
+    def finish(self, yaw: float, scanned: Scanned, ends: bool) -> Segment:
         sent = np.stack(self.sent)
         steps = np.stack(self.wanted)[1:] - sent[:-1]
         # After the end the hand rests; before a burst nobody knows what the step after the last would have been.
@@ -110,7 +111,7 @@ class _Frames:
         return Segment(
             np.stack([s.pictures for s in self.seen[:count]]),
             np.stack(
-                [proprioception(s.q, s.tip, g, yaw) for s, g in zip(self.seen[:count], sent[:count], strict=True)]
+                [state_seen(s.q, s.tip, g, yaw, scanned) for s, g in zip(self.seen[:count], sent[:count], strict=True)]
             ),
             to_hand(steps, yaw).astype(np.float32),
             np.array(self.recovered[:count]),
@@ -145,7 +146,7 @@ class _Run:
 
     def close_segment(self, ends: bool) -> None:
         if len(self.frames.seen) > self.s.least_frames:
-            self.segments.append(self.frames.finish(self.scene.yaw, ends))
+            self.segments.append(self.frames.finish(self.scene.yaw, self.scene.scanned, ends))
         self.frames = _Frames()
 
     def teach(self, action: Tensor, recovered: bool) -> None:
@@ -252,7 +253,7 @@ def look_around(
             x = _narrower(scene.x, s.margin)
             frames.add(scene, scene.sent, bool(is_recovered(x, x, recovery)))
             seen = frames.seen[-1]
-            states.append(proprioception(seen.q, seen.tip, scene.sent, scene.yaw))
+            states.append(state_seen(seen.q, seen.tip, scene.sent, scene.yaw, scene.scanned))
     if not states:
         return None
     n = len(states)
@@ -275,7 +276,7 @@ def _advance_students(runs: Sequence[_Run], student: CameraPolicy) -> None:
     if not asking:
         return
     seen = [r.scene.see() for r in asking]
-    states = [proprioception(o.q, o.tip, r.goal, r.scene.yaw) for o, r in zip(seen, asking, strict=True)]
+    states = [state_seen(o.q, o.tip, r.goal, r.scene.yaw, r.scene.scanned) for o, r in zip(seen, asking, strict=True)]
     said = student(np.stack([o.pictures for o in seen]), np.stack(states))
     for r, steps, done in zip(asking, careful_steps(said), says_done(said), strict=True):
         r.chunks.push(steps)

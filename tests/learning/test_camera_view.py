@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from resync_robot.core import spatial
 from resync_robot.core.rig import load_rig
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.learning.camera_view import (
     BLEND,
     EXECUTE,
@@ -16,11 +20,13 @@ from resync_robot.learning.camera_view import (
     STATE_NAMES,
     VIEWS,
     Chunks,
+    Scanned,
     from_hand,
-    proprioception,
+    state_seen,
     to_hand,
     window_at,
 )
+from resync_robot.learning.recovery_policy import STUD, wall_gaps
 
 RIG = load_rig()
 coordinate = st.floats(-1.5, 1.5)
@@ -59,11 +65,31 @@ def test_forward_is_where_the_hand_s_x_axis_points() -> None:
     np.testing.assert_allclose(to_hand(np.array([0.0, 1.0, 0.5]), np.pi / 2), [1.0, 0.0, 0.5], atol=1e-12)
 
 
-def test_proprioception_is_joints_tip_and_lead() -> None:
+def test_the_state_is_joints_tip_lead_and_what_the_scan_told() -> None:
     q, tip = np.arange(6.0), np.array([0.4, 0.1, 0.2])
-    state = proprioception(q, tip, tip + [0.0, 0.01, -0.02], np.pi / 2)
+    scanned = Scanned(tip + [0.0, 0.03, -0.06], tip[:2] + [-0.05, 0.0], np.array([0.05, 0.04]))
+    state = state_seen(q, tip, tip + [0.0, 0.01, -0.02], np.pi / 2, scanned)
     assert state.shape == (len(STATE_NAMES),) and state.dtype == np.float32
-    np.testing.assert_allclose(state, [*q, *tip, 0.01, 0.0, -0.02], atol=1e-6)
+    known = [0.03, 0.0, -0.06, 0.0, 0.05, 0.05, 0.04]
+    np.testing.assert_allclose(state, [*q, *tip, 0.01, 0.0, -0.02, *known], atol=1e-6)
+
+
+@given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.2, 0.2))
+def test_the_corner_is_as_far_from_the_block_as_its_walls_and_half_its_width(x: float, y: float, yaw: float) -> None:
+    box, block = Object("box", BOX), Object("b0", BLOCK)
+    pose = np.array([0.48, 0.01, 0.005, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+    place = pose[:3] + from_hand(np.array([x, y, 0.02]), yaw)
+    state = State(
+        {
+            box: np.array([*pose, 0.30, 0.28, 0.11, 0.03]),
+            block: np.array([*place, *pose[3:], 0.05, 0.05, 0.04]),
+        }
+    )
+    scanned = Scanned.of(state, block, box)
+    row = torch.as_tensor(np.concatenate([np.zeros(6), state[block], state[box]]), dtype=torch.float32)[None]
+    away = np.abs(to_hand(np.append(scanned.corner - place[:2], 0.0), yaw)[:2])
+    np.testing.assert_allclose(away, wall_gaps(row)[0].numpy() + 0.025, atol=1e-6)
+    assert scanned.stud[2] == pytest.approx(place[2] + 0.02 + STUD)
 
 
 def ramp(start: float, count: int = 8) -> np.ndarray:

@@ -15,9 +15,19 @@ from perception.cutout import cut_out
 from resync_robot.core import spatial
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.rig import load_rig
-from resync_robot.learning.camera_view import BLOCK_NAMES, EXECUTE, GAPS, PICTURE, VIEWS, Prediction, to_hand, window_at
+from resync_robot.learning.camera_view import (
+    BLOCK_NAMES,
+    EXECUTE,
+    GAPS,
+    PICTURE,
+    STATE_NAMES,
+    VIEWS,
+    Prediction,
+    to_hand,
+    window_at,
+)
 from resync_robot.learning.failures import PairGaussian
-from resync_robot.learning.recovery_policy import wall_gaps
+from resync_robot.learning.recovery_policy import BLOCK, STUD, wall_gaps
 from sim_training.demos import dataset
 from sim_training.demos.recoveries import RenderedRecovery, tilted
 from sim_training.demos.rollouts import RolloutSettings, Segment, demonstrate, look_around, try_student
@@ -107,6 +117,23 @@ def test_an_arm_without_lag_goes_where_it_is_sent_and_a_late_one_stays_behind() 
         scene.step(goal)
         behind.append(float(goal[2] - scene.see().tip[2]))
     assert behind[0] < 0.010 < behind[1]
+
+
+def test_the_scan_knows_the_block_to_a_millimetre_or_two() -> None:
+    exact = RenderedRecovery(FREE, RIG, 0.0, seed=0, still=True).scanned
+    x, y, z, height = FREE.task.initial.get(FREE.block, "x", "y", "z", "size_z")
+    np.testing.assert_allclose(exact.stud, [x, y, z + height / 2 + STUD])
+    away = [RenderedRecovery(FREE, RIG, 0.0, seed=seed).scanned.stud - exact.stud for seed in range(12)]
+    assert 0.0005 < np.std(away) < 0.003
+
+
+def test_a_scan_tells_where_the_block_was_or_where_it_is() -> None:
+    scene, random = RenderedRecovery(CORNERED, RIG, 0.0, seed=1), torch.Generator().manual_seed(3)
+    moved = []
+    for _ in range(30):
+        scene.freeze(random)
+        moved.append(np.linalg.norm(scene.scanned.stud[:2] - scene.x[0, BLOCK][:2].numpy()) > 0.012)
+    assert 5 < sum(moved) < 25
 
 
 def test_pictures_of_half_of_all_scenes_are_one_step_old() -> None:
@@ -221,7 +248,7 @@ def test_the_teacher_is_called_where_a_student_believes_that_it_is_done() -> Non
 def segment(n: int = 5, ends: bool = True) -> Segment:
     rng = np.random.default_rng(n)
     pictures = np.kron(rng.integers(0, 255, (n, 3, 8, 8, 3)), np.ones((1, 1, 8, 8, 1))).astype(np.uint8)
-    rows = [rng.normal(size=(n, k)).astype(np.float32) for k in (12, 3, len(BLOCK_NAMES))]
+    rows = [rng.normal(size=(n, k)).astype(np.float32) for k in (len(STATE_NAMES), 3, len(BLOCK_NAMES))]
     return Segment(pictures, rows[0], rows[1], rng.random(n) > 0.5, rows[2], np.ones(n, dtype=bool), ends)
 
 
