@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from resync_robot.core.errors import ConfigError, PlanningError
+from resync_robot.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -76,7 +76,7 @@ def deploy(config: DeployConfig) -> int:
     """Run the episodes of `config`, each recorded whether it succeeds or not.
 
     Returns:
-        0 when every episode reached its goal, else 3.
+        0 when every episode reached its goal, or was planned in a dry run, else 3.
 
     Raises:
         ResyncError: bad input, or a machine that cannot be used.
@@ -142,17 +142,18 @@ def deploy(config: DeployConfig) -> int:
             f"{domain.recovery} follows its block through the simulator's state while it runs; "
             "everything else is estimated."
         )
-    succeeded = 0
+    succeeded = unplanned = 0
     for i, task in enumerate(tasks):
         path = folder / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
         result, reached = _episode(config, rig, library, model, task, i, path, recording, segmenter)
-        if result.end is End.NO_PLAN and not result.transitions:
-            raise PlanningError(result.reason, 'give another --goal, such as --goal "On(b1,b0)"')
         succeeded += reached
+        unplanned += result.end is End.NO_PLAN
         verdict = "goal reached" if reached else f"failed ({result.end.value}: {result.reason})"
         say(f"Episode {i + 1}/{len(tasks)}: {verdict}; {len(result.transitions)} skills. Recording: {path}")
+        if result.end is End.NO_PLAN and not result.transitions:
+            say('  -> See what it saw in the recording, or give another --goal, such as --goal "On(b1,b0)".')
     say(f"{succeeded} of {len(tasks)} episodes reached the goal. Review:  resync-robot review {path}")
-    return 0 if succeeded == len(tasks) or config.dry_run else 3
+    return 0 if succeeded == len(tasks) or (config.dry_run and not unplanned) else 3
 
 
 def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:

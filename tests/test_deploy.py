@@ -17,6 +17,7 @@ from resync_robot.core.errors import ConfigError, RenderError
 from resync_robot.core.library import save_library
 from resync_robot.core.rig import load_rig
 from resync_robot.deploy import DeployConfig
+from resync_robot.planning import execute
 from sim_training.domains import find_domain, world_task
 from sim_training.world import SimWorld
 from tests import scenes
@@ -155,6 +156,19 @@ def test_an_arm_that_stands_where_it_cannot_be_driven_leaves_the_other_episodes_
     first, second = (read_episode(path) for path in episodes(out))
     assert [e.kind for e in first.events()] == [EventKind.GIVE_UP]
     assert next(second.plans()).steps
+
+
+def test_a_scene_without_a_plan_leaves_the_other_episodes_their_turn(
+    renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = execute.plan_f
+    blind = iter([execute.Result(execute.End.NO_PLAN, "no plan reaches On(b1, b0)", (), (), scenes.scene({}).initial)])
+    monkeypatch.setattr(execute, "plan_f", lambda *args, **kwargs: next(blind, None) or found(*args, **kwargs))
+    args = ["--library", str(library), "--perception", "oracle", "--dry-run", "--episodes", "2", "--out", str(tmp_path)]
+    assert cli.main(["deploy", *args]) == 3
+    shown = capsys.readouterr().out
+    assert "Episode 1/2: failed (no plan: no plan reaches On(b1, b0))" in shown and "another --goal" in shown
+    assert "Episode 2/2: failed (stopped" in shown and len(episodes(tmp_path)) == 2
 
 
 def test_without_a_vulkan_device_physics_goes_on_and_pictures_are_one_error(library: Path, tmp_path: Path) -> None:
