@@ -68,6 +68,8 @@ class Guard:
     def keep_out(self, *obstacles: Obstacle) -> None:
         """Let nothing but the hand come near these, from now on."""
         self._room.keep_out(*obstacles)
+        if self._realtime is not None:
+            self._realtime.keep_out(*obstacles)
 
     def start(self) -> None:
         """Take the robot where it is measured, at rest, as the last setpoint: after connecting, after a stop.
