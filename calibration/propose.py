@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from calibration.board import BoardSpec
 from calibration.detect import project
-from hardware.safety import heights
+from hardware.room import heights
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import CameraRig, Rig

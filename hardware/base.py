@@ -11,6 +11,7 @@ from typing import Protocol, Self, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from hardware.clearance import Obstacle
 from resync_robot.core.errors import MotionError, ResyncError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.world import CameraFrame, Cutout, Window
@@ -129,7 +130,11 @@ class Robot(Device, Protocol):
         ...
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
-        """Cap the joint torques at (6,) N m; None restores the arm's own limits."""
+        """Cap the joint torques at (6,) N m; None restores the arm's own limits.
+
+        A `RealtimeRobot` must be at rest. It yields instead (`hardware.yielding`), and may rest elsewhere than it was
+        sent when the limit goes: the next `play` then raises StarvedError, and says where.
+        """
         ...
 
 
@@ -143,6 +148,10 @@ class RealtimeRobot(Robot, Protocol):
 
         Raises RobotError when the slider stands at zero.
         """
+        ...
+
+    def keep_out(self, *obstacles: Obstacle) -> None:
+        """Let nothing but the hand come near these where the arm yields, from the next effort limit on."""
         ...
 
     def due(self) -> float:

@@ -3,7 +3,7 @@
 A block is the run of setpoints for one target. It is checked as a whole, so a motion that would break a limit at
 its end is refused before its beginning. Velocity, acceleration and jerk are finite differences over the setpoints
 really sent, seams included: what is checked is what the robot sees. Room and tip speed are looked at every STRIDE
-setpoints, between which the tip moves no further than MARGIN and a little.
+setpoints, between which the tip moves no further than the room's MARGIN and a little.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from hardware.base import SERVO_PERIOD, RealtimeRobot, Robot, SafetyError
-from hardware.clearance import Clearance, Obstacle
-from resync_robot.core import kinematics
+from hardware.clearance import Obstacle
+from hardware.room import Room
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import Rig
 
@@ -23,8 +23,6 @@ MAX_GRIPPER_SPEED = 0.25
 """m/s of pad opening; the specification of the 2F-140."""
 FIRST_RUN_SPEED = 0.25
 """m/s of the tip until somebody has confirmed the motions at this machine; the usual figure for people nearby."""
-MARGIN = 0.015
-"""m that must stay free between parts of the arm, and between them and what stands around."""
 STRIDE = 5
 
 # Relative. A third difference over 2 ms of positions known to 1e-15 rad is off by 1e-6 rad/s^3.
@@ -45,9 +43,6 @@ class Guard:
         self._robot = robot
         self._realtime = robot if isinstance(robot, RealtimeRobot) else None
         self._rig = rig
-        self._floor = table_z - margin
-        self._tip_offset = rig.gripper.tip_offset
-        self._base_up = rig.arm.world_T_base[2]
         # Orders 1, 2, 3 of the differences of position, and the limit on each.
         arm = rig.arm
         self._rates = (
@@ -56,7 +51,7 @@ class Guard:
             ("jerk", "rad/s^3", arm.jerk_limit),
         )
         self._controller = rig.controller
-        self._clearance = Clearance(rig, table_z)
+        self._room = Room(rig, table_z, margin)
         self._past = np.zeros((3, 6))
         self._opening = 0.0
         self.start()
@@ -72,7 +67,9 @@ class Guard:
 
     def keep_out(self, *obstacles: Obstacle) -> None:
         """Let nothing but the hand come near these, from now on."""
-        self._clearance.obstacles = obstacles
+        self._room.keep_out(*obstacles)
+        if self._realtime is not None:
+            self._realtime.keep_out(*obstacles)
 
     def start(self) -> None:
         """Take the robot where it is measured, at rest, as the last setpoint: after connecting, after a stop.
@@ -106,7 +103,7 @@ class Guard:
         if q.shape != (6,):
             raise SafetyError("shape", "arm", float(q.size), 6.0, f"a target has shape {q.shape}, it must be (6,)")
         self._check_block(q[None], np.array([opening], dtype=np.float64))
-        self._check_room(self._clearance.frames(q[None]))
+        self._room.check_frames(self._room.frames(q[None]))
 
     def tip_speed(self, setpoints: Float[np.ndarray, "n 6"]) -> float:
         """m/s; the fastest of the tip on the way from the last setpoint through these."""
@@ -183,7 +180,7 @@ class Guard:
         """Rates, room and tip speed of setpoints that follow the three of `past`."""
         self._check_rates(past, setpoints)
         frames, seconds = self._sampled(past, setpoints)
-        self._check_room(frames[1:])
+        self._room.check_frames(frames[1:])
         self._check_tip_speed(frames, seconds)
 
     def _sampled(
@@ -191,14 +188,11 @@ class Guard:
     ) -> tuple[Float[np.ndarray, "m 7 4 4"], Float[np.ndarray, " k"]]:
         """Frames at the end of `past` and every STRIDE from there, the end included, and the seconds in between."""
         rows = np.unique([*range(0, len(setpoints) + 1, STRIDE), len(setpoints)])
-        frames = self._clearance.frames(np.concatenate([past[-1:], setpoints])[rows])
+        frames = self._room.frames(np.concatenate([past[-1:], setpoints])[rows])
         return frames, np.diff(rows) * SERVO_PERIOD
 
-    def _tips(self, frames: np.ndarray) -> Float[np.ndarray, "m 3"]:
-        return frames[:, -1, :3, 3] + self._tip_offset * frames[:, -1, :3, 2]
-
     def _tip_speed(self, frames: np.ndarray, seconds: np.ndarray) -> float:
-        ways = np.linalg.norm(np.diff(self._tips(frames), axis=0), axis=1)
+        ways = np.linalg.norm(np.diff(self._room.tips(frames), axis=0), axis=1)
         return float((ways / seconds).max(initial=0.0))
 
     def _check_tip_speed(self, frames: np.ndarray, seconds: np.ndarray) -> None:
@@ -213,60 +207,19 @@ class Guard:
                 "watch a whole slow run, then set full_speed = true in the rig file's [controller]",
             )  # fmt: skip
 
-    def _check_room(self, frames: np.ndarray) -> None:
-        """Refuse what lies outside the workspace, or brings parts of the arm too near to each other or to others."""
-        if not len(frames):
-            return
-        if self._controller is not None:
-            tips, low, high = self._tips(frames), self._controller.workspace_low, self._controller.workspace_high
-            beyond = np.maximum(low - tips, tips - high)
-            row, axis = (int(i) for i in np.unravel_index(int(beyond.argmax()), beyond.shape))
-            if beyond[row, axis] > 0:
-                value, bounds = float(tips[row, axis]), f"{low[axis]:.3f} to {high[axis]:.3f} m"
-                raise SafetyError(
-                    "workspace", "tip", value, float((low if value < low[axis] else high)[axis]),
-                    f"the tip would be at {'xyz'[axis]} = {value:.3f} m; allowed: {bounds}",
-                    "[controller] workspace_low and workspace_high in the rig file set the limits",
-                )  # fmt: skip
-        gap = self._clearance.smallest(frames)
-        if gap.distance < MARGIN:
-            raise SafetyError(
-                "clearance", gap.one, gap.distance, MARGIN,
-                f"{gap.one} would be {1000 * gap.distance:.0f} mm from {gap.other}; allowed: {1000 * MARGIN:.0f} mm",
-                "choose another way there, or another branch of the arm",
-            )  # fmt: skip
-
     def _check_block(self, setpoints: np.ndarray, openings: np.ndarray) -> None:
         if setpoints.ndim != 2 or setpoints.shape[1] != 6 or openings.shape != setpoints.shape[:1]:
             raise SafetyError(
                 "shape", "arm", float(setpoints.size), 6.0,
                 f"setpoints of shape {setpoints.shape} with openings of shape {openings.shape}; allowed: (n, 6), (n,)",
             )  # fmt: skip
-        if not np.isfinite(setpoints).all():
-            joint = int(np.argwhere(~np.isfinite(setpoints))[0, 1])
-            value = float(setpoints[~np.isfinite(setpoints)][0])
-            raise SafetyError(
-                "finite", ARM_JOINTS[joint], value, np.inf, f"{ARM_JOINTS[joint]} is asked to go to {value}"
-            )
-        self._compare("position", "rad", setpoints, kinematics.JOINT_LIMIT)
+        self._room.check_joints(setpoints)
         widest = self._rig.gripper.max_opening
         if not ((openings >= 0.0) & (openings <= widest)).all():
             wrong = float(openings[~((openings >= 0.0) & (openings <= widest))][0])
             raise SafetyError(
                 "opening", "gripper", wrong, widest, f"opening of {wrong:.4f} m; allowed: 0 to {widest:.3f} m"
             )
-        self._check_floor(setpoints)
-
-    def _check_floor(self, setpoints: np.ndarray) -> None:
-        flange, tip = heights(setpoints, self._base_up, self._tip_offset)
-        for name, height in (("tip", tip), ("flange", flange)):
-            lowest = float(height.min())
-            if lowest < self._floor:
-                raise SafetyError(
-                    "floor", name, lowest, self._floor,
-                    f"the {name} would be at height {lowest:.4f} m; the lowest allowed is {self._floor:.4f} m",
-                    "raise the target, or check the table's height and world_T_base in the rig file",
-                )  # fmt: skip
 
     def _check_rates(self, past: np.ndarray, setpoints: np.ndarray) -> None:
         difference = np.concatenate([past, setpoints])
@@ -294,26 +247,3 @@ class Guard:
                 f"{ARM_JOINTS[joint]} would have {quantity} {value:.4g} {unit}, setpoint {row + 1} of {len(values)}; "
                 f"allowed: +-{allowed:.4g} {unit}",
             )  # fmt: skip
-
-
-def heights(
-    q: Float[np.ndarray, "n 6"], base_up: Float[np.ndarray, "4"], tip_offset: float
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Heights of flange and tip in the world, m; `base_up` is the third row of world_T_base.
-
-    The closed form of `kinematics.forward`, with the world's up axis seen from the frame of joint 1, for that is all
-    a height needs: a fraction of the time of whole matrices, which counts at 500 Hz.
-    """
-    angles = q[:, :5].T.copy()
-    angles[2] += angles[1]
-    angles[3] += angles[2]
-    (c1, c2, c23, c234, c5), (s1, s2, s23, s234, s5) = np.cos(angles), np.sin(angles)
-    a2, a3, (d1, _, _, d4, d5, d6) = kinematics.A[1], kinematics.A[2], kinematics.D
-    up_x, up_y, up_z, base = base_up.tolist()
-    up_along, up_across = up_x * c1 + up_y * s1, up_x * s1 - up_y * c1
-    # The flange's z axis and the middle of the wrist's last joint; across the arm they are c5 and d4.
-    axis_x, axis_y = -c234 * s5, -s234 * s5
-    x, y = a2 * c2 + a3 * c23 + d5 * s234, a2 * s2 + a3 * s23 - d5 * c234 + d1
-    lift = up_along * axis_x + up_z * axis_y + up_across * c5
-    height = base + up_along * x + up_z * y + up_across * d4 + d6 * lift
-    return height, height + tip_offset * lift

@@ -49,6 +49,9 @@ FIRST_RUN_PACE = 0.25
 """Share of every speed until the motions have been confirmed at a machine. The path is the same, in more time."""
 PACE_MARGIN = 0.8
 """Of the tip's speed limit then, at which a target is given still more time: the guard holds the limit itself."""
+PRESSING_SPEED = 0.12
+"""m/s of the tip of an arm that yields, which takes back what it ran ahead only as fast as its limits allow. At
+0.2 m/s the simulated arm hit a block with 350 N within 10 ms, before any setpoint could answer."""
 FALLING = 0.99
 """Share of its excess speed that a target must fall below when it is given more time, to be given still more."""
 STILL = 0.02
@@ -106,8 +109,10 @@ class Stream:
         self._since_record = 0
         self._gripper_step = gripper_speed * SERVO_PERIOD
         self._arm = rig.arm
-        self._slow = rig.controller is not None and not rig.controller.full_speed
-        self._pace = FIRST_RUN_PACE if self._slow else 1.0
+        slow = rig.controller is not None and not rig.controller.full_speed
+        self._pace = FIRST_RUN_PACE if slow else 1.0
+        self._first_run = FIRST_RUN_SPEED if slow else np.inf
+        self._fastest = self._first_run
         self._generator = Generator(rig.arm, self._pace)
         # Stopping from v at jerk j takes the distance v * sqrt(v / j), hence the fastest v for OVERSHOOT.
         self._arrival_limit = self._pace * np.minimum(
@@ -219,6 +224,27 @@ class Stream:
                 self._guard.rest_at(error.q)
         self._rest()
 
+    def limit_effort(self, limit: tuple[float, ...] | None) -> None:
+        """Cap the joint torques at (6,) N m, or no more; an arm that stands off its last command goes on from there.
+
+        A robot in real time yields instead, as fast as it can: with a limit its tip keeps to PRESSING_SPEED, in more
+        time.
+        """
+        if self._realtime is None:
+            self._robot.limit_effort(limit)
+            if limit is None:
+                self.stop()
+            return
+        self.stop()
+        self._robot.limit_effort(limit)
+        self._fastest = min(self._first_run, np.inf if limit is None else PRESSING_SPEED)
+        try:
+            # The arm's answer to being asked to stay is where it stays.
+            self._guard.send(self._guard.last_sent[None], np.array([self._guard.last_opening]), braking=True)
+        except StarvedError as error:
+            self._guard.rest_at(error.q)
+        self._rest()
+
     def _pieces(self, way: Way, count: int) -> list[_Piece]:
         """The parts in which `count` setpoints of `way` are sent, each as good as a target of its own."""
         ends = [count] if self._realtime is None else [*range(PIECE, count, PIECE), count]
@@ -239,7 +265,9 @@ class Stream:
             velocity = (arm - self._target.arm) / (count * SERVO_PERIOD)
             way = self._generator.towards(self._motion, arm, self._arrival(velocity), count * SERVO_PERIOD)
             setpoints = way.setpoints(count)
-            excess = self._guard.tip_speed(setpoints) / (PACE_MARGIN * FIRST_RUN_SPEED) if self._slow else 0.0
+            excess = (
+                self._guard.tip_speed(setpoints) / (PACE_MARGIN * self._fastest) if np.isfinite(self._fastest) else 0.0
+            )
             if excess <= 1.0 or count >= MOST_TICKS:
                 return way, setpoints, velocity
             # A trajectory that lasts longer than this ignores the count so far; one that does not, and is no slower

@@ -21,9 +21,11 @@ from hardware.base import (
     StaleError,
     StarvedError,
 )
+from hardware.clearance import Obstacle
 from hardware.dashboard import OTHER_SAFETY, Dashboard
 from hardware.ur_memory import LONGEST_STOP, RING, STOPS, Fault, LinkMemory
 from hardware.ur_process import LinkProcess
+from hardware.ur_rig import obstacles_to_json, rig_to_json
 from resync_robot.core.rig import ControllerRig, Rig
 
 _log = logging.getLogger(__name__)
@@ -60,6 +62,8 @@ class Ur7e(Connected):
         self._stopped_at = 0.0
         self._opening = 0.0
         self._blocks = 0
+        self._orders = 0
+        self._obstacles: tuple[Obstacle, ...] = ()
         self._last_heard = 0.0, time.monotonic()
 
     def connect(self) -> None:
@@ -78,7 +82,7 @@ class Ur7e(Connected):
         self.gripper.connect()
         try:
             self._opening = self.gripper.state().opening
-            self._stopped_at, self._blocks = 0.0, 0
+            self._stopped_at, self._blocks, self._orders = 0.0, 0, 0
             self._link = LinkProcess(self._controller.address, self._settings(), self._stop_program)
         except BaseException:
             self.close()
@@ -168,7 +172,21 @@ class Ur7e(Connected):
             self._starved()
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
-        """The controller has no such cap under servoing: what holds is its own safety limits and our force guard."""
+        """Have the link's setpoints yield to what the arm feels: the controller has no such cap under servoing."""
+        w = self._require_link().words
+        if self._link is None:
+            return
+        self._orders += 1
+        obstacles = obstacles_to_json(self._obstacles)
+        self._link.order(number=self._orders, effort=None if limit is None else list(limit), obstacles=obstacles)
+        # It is taken when the last setpoint is out; what yielded comes to rest first.
+        while int(w["orders"]) < self._orders:
+            self._require_running()
+            time.sleep(SERVO_PERIOD)
+
+    def keep_out(self, *obstacles: Obstacle) -> None:
+        """See `RealtimeRobot`."""
+        self._obstacles = obstacles
 
     def acknowledge_stop(self) -> None:
         """After a person has looked: unlock a protective stop once it is old enough, and connect anew.
@@ -210,6 +228,7 @@ class Ur7e(Connected):
         return {
             "freshness": c.freshness, "watchdog": c.watchdog, "payload": c.payload,
             "payload_centre": c.payload_centre.tolist(), "tcp": [0.0, 0.0, self._rig.gripper.tip_offset, 0.0, 0.0, 0.0],
+            "rig": rig_to_json(self._rig),
         }  # fmt: skip
 
     def _require_link(self) -> LinkMemory:

@@ -1,4 +1,6 @@
-"""The process that holds the ur-rtde client: it sends a setpoint every 2 ms, watches the controller, and nothing else.
+"""The process that holds the ur-rtde client: it sends a setpoint every 2 ms, and watches the controller.
+
+While an effort limit is set, what it sends yields to what the arm feels (`hardware.yielding`).
 
 Why a process of its own: when the link drops, ur-rtde 1.6.5 can end its process by SIGSEGV. Why the script is uploaded
 by hand: given the task, the client uploads it again with every reconnection, and the robot would run a program
@@ -21,7 +23,10 @@ from typing import Any
 
 import numpy as np
 
+from hardware.room import Room
 from hardware.ur_memory import RING, SNAPSHOT, STOPS, Fault, LinkMemory
+from hardware.ur_rig import obstacles_from_json, rig_from_json
+from hardware.yielding import Yielding
 
 PERIOD = 0.002
 KICK_S = 0.02
@@ -63,6 +68,10 @@ class Link:
         self._now = np.zeros((), SNAPSHOT)
         self._driver_gone = threading.Event()
         self._braking: deque[np.ndarray] = deque()
+        self._rig = rig_from_json(settings["rig"])
+        self._orders: deque[dict[str, Any]] = deque()
+        self._yielding: Yielding | None = None
+        self._path: np.ndarray | None = None
         self.receive = RTDEReceiveInterface(settings["address"], 1 / PERIOD, list(VARIABLES))
         # Without FLAG_UPLOAD_SCRIPT, see above.
         self.control = RTDEControlInterface(settings["address"], 1 / PERIOD, int(RTDEControlInterface.FLAG_NO_WAIT))
@@ -99,9 +108,9 @@ class Link:
             raise RuntimeError("the controller did not take the watchdog")
 
     def watch_driver(self) -> None:
-        """Until the driver closes our standard input."""
-        while sys.stdin.readline():
-            pass
+        """Take its orders until the driver closes our standard input."""
+        while line := sys.stdin.readline():
+            self._orders.append(json.loads(line))
         self._driver_gone.set()
 
     def look(self) -> Fault:
@@ -133,7 +142,7 @@ class Link:
             fault = self.look()
             if fault is not Fault.NONE:
                 return fault
-            q = self._next_setpoint()
+            q = self._yielded(self._next_setpoint())
             if q is not None:
                 kick = due + KICK_S
                 w["sent_at"][int(w["sent"]) % RING] = time.monotonic()
@@ -145,6 +154,42 @@ class Link:
             elif due >= kick:
                 kick = due + KICK_S
                 self.control.kickWatchdog()
+
+    def _yielded(self, path: np.ndarray | None) -> np.ndarray | None:
+        """What is sent where the arm is asked to be at `path`, or to stay where it is; carries out orders then."""
+        ending = False
+        if path is not None:
+            self._path = path
+        else:
+            ending = bool(self._orders) or self._driver_gone.is_set() or bool(self._words["finish"])
+        arm = self._yielding
+        if arm is None:
+            if path is None and self._orders:
+                self._begin(self._orders.popleft())
+            return path
+        if not ending:
+            self._path = arm.position if self._path is None else self._path
+            return arm.follow(self._path, self._now["q"], self._wrench())
+        if not arm.at_rest:
+            return arm.brake()
+        # Wherever that is, the driver begins from there.
+        self._yielding, self._words["held"] = None, arm.position
+        self._words["resting"] = 1
+        self._words["link_epoch"] += 1
+        self._path = arm.position
+        return None
+
+    def _begin(self, order: dict[str, Any]) -> None:
+        if order["effort"] is not None:
+            room = Room(self._rig)
+            room.keep_out(*obstacles_from_json(order["obstacles"]))
+            here = self._now["q"].copy() if self._path is None else self._path
+            self._yielding = Yielding(self._rig, room, order["effort"], here, self._wrench())
+        self._words["orders"] = order["number"]
+
+    def _wrench(self) -> np.ndarray:
+        """Of the world on the tip, N and N m, world axes; the controller gives it in those of the base."""
+        return (self._now["force"].reshape(2, 3) @ self._rig.arm.world_T_base[:3, :3].T).ravel()
 
     def _wait_for(self, due: float) -> float:
         """Sleep until then; the time by which the next is counted. Held up, later ones are later, never closer."""

@@ -38,7 +38,7 @@ LAYOUT = np.dtype(
     [
         ("write", "i8"), ("epoch", "i8"), ("finish", "i8"),  # written by the driver
         ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("fault", "i8"),
-        ("uploaded", "i8"), ("sent", "i8"), ("sequence", "i8"), ("snapshots", SNAPSHOT, 2),
+        ("uploaded", "i8"), ("orders", "i8"), ("sent", "i8"), ("sequence", "i8"), ("snapshots", SNAPSHOT, 2),
         ("sent_at", "f8", RING), ("ring", "f8", (RING, 6)), ("tags", "i8", RING), ("stops", STOP, STOPS),
     ]
 )  # fmt: skip

@@ -71,6 +71,16 @@ class LinkProcess:
                 )
             raise RobotError(f"no control of the robot at {address}: {reason}")
 
+    def order(self, **content: Any) -> None:
+        """A line of JSON for the link, which counts the last one it has carried out in `orders`. Raises RobotError."""
+        try:
+            if self.process.stdin is None:
+                raise OSError
+            self.process.stdin.write(json.dumps(content).encode() + b"\n")
+            self.process.stdin.flush()
+        except OSError:
+            raise RobotError("the link to the robot takes no orders: its process has ended") from None
+
     def ended(self, wait: float = 0.0) -> str:
         """How it ended, within `wait` s from now: a signal or a code; '' while it runs."""
         with suppress(subprocess.TimeoutExpired):

@@ -165,13 +165,12 @@ class DeployedWorld:
         self.stream.restart()
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
-        self.robot.limit_effort(limit)
-        if limit is None:
-            # A capped arm may stand off its last command; begin again from where it is.
-            try:
-                self.stream.stop()
-            except ProtectiveStopError as error:
-                self._resume(error)
+        try:
+            self.stream.limit_effort(limit)
+        except ProtectiveStopError as error:
+            self._resume(error)
+            if limit is not None:
+                self.stream.limit_effort(limit)
 
     def perceive(self) -> State:
         """Scan, unless the only news since the last look is that the hand closed on a block it had seen, alone."""

@@ -9,7 +9,6 @@ import numpy as np
 from sapien import Pose
 from sapien.render import RenderCameraComponent
 
-from resync_robot.core import kinematics
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
@@ -192,17 +191,7 @@ class SimWorld:
         """From the joint drives' own efforts, as a real arm estimates it from its motor currents."""
         effort = self.built.stiffness * (self._target.arm - q) - self.built.damping * qd
         effort = np.clip(effort, -self._torque, self._torque)
-        jacobian = tip_jacobian(self.rig, q)
+        jacobian = self.rig.tip_jacobian(q)
         # Damped, so that a singular pose gives a modest estimate instead of a huge one.
         wrench = np.linalg.solve(jacobian @ jacobian.T + 1e-4 * np.eye(6), jacobian @ -effort)
         return wrench[:3]
-
-
-def tip_jacobian(rig: Rig, q: np.ndarray) -> np.ndarray:
-    """(6, 6) linear over angular velocity of the tip in the world, per rad/s of each joint."""
-    frames = rig.arm.world_T_base @ kinematics.link_frames(q)
-    tip = (frames[-1] @ rig.gripper.flange_T_tip)[:3, 3]
-    before = np.concatenate([rig.arm.world_T_base[None], frames[:-1]])
-    (ax, ay, az), (x, y, z) = before[:, :3, 2].T, (tip - before[:, :3, 3]).T
-    # Written out: `np.cross` takes a tenth of a millisecond for six products.
-    return np.array([ay * z - az * y, az * x - ax * z, ax * y - ay * x, ax, ay, az], order="F")

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from hardware import safety
+from hardware import room
 from resync_robot import cli, deploy, deployed_world
 from resync_robot.core.episode import EventKind, read_episode
 from resync_robot.core.errors import ConfigError, RenderError
@@ -142,7 +142,7 @@ def test_an_arm_that_stands_where_it_cannot_be_driven_leaves_the_other_episodes_
 
         def __init__(self, *args: Any, **kwargs: Any) -> None:
             with monkeypatch.context() as m:
-                m.setattr(safety, "MARGIN", next(margins, safety.MARGIN))
+                m.setattr(room, "MARGIN", next(margins, room.MARGIN))
                 super().__init__(*args, **kwargs)
 
     monkeypatch.setattr(deployed_world, "OracleWorld", First)

@@ -11,7 +11,8 @@ import numpy as np
 
 from hardware.base import SERVO_PERIOD, SafetyError
 from hardware.clearance import Clearance
-from hardware.safety import MARGIN, Guard
+from hardware.room import MARGIN
+from hardware.safety import Guard
 from hardware.stream import JUMP_SLACK, Stream
 from resync_robot.core import kinematics
 from resync_robot.core.errors import MotionError

@@ -15,7 +15,8 @@ from hypothesis.extra.numpy import arrays
 import hardware
 from hardware.base import SERVO_PERIOD, SafetyError
 from hardware.clearance import Obstacle
-from hardware.safety import FIRST_RUN_SPEED, MAX_GRIPPER_SPEED, Guard, heights
+from hardware.room import heights
+from hardware.safety import FIRST_RUN_SPEED, MAX_GRIPPER_SPEED, Guard
 from hardware.stream import FIRST_RUN_PACE, PACE_MARGIN, Stream
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.joints import ARM_JOINTS, JointTarget

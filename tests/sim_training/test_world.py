@@ -13,7 +13,7 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.vocabulary import BLOCK
 from sim_training.scene import PERIOD, TORQUE
-from sim_training.world import SimWorld, tip_jacobian
+from sim_training.world import SimWorld
 from tests import scenes
 from tests.scenes import B0, B1, THE_BOX, R
 
@@ -174,7 +174,7 @@ def test_a_placed_block_is_there_at_rest() -> None:
 @given(st.lists(st.floats(-2.5, 2.5), min_size=6, max_size=6))
 def test_the_jacobian_is_the_derivative_of_the_tip(q: list[float]) -> None:
     joints, h = np.array(q), 1e-6
-    jacobian = tip_jacobian(RIG, joints)
+    jacobian = RIG.tip_jacobian(joints)
     here = RIG.tip_pose(joints)
     for i in range(6):
         moved = RIG.tip_pose(joints + h * np.eye(6)[i])

@@ -1,0 +1,58 @@
+"""What the link's process has to know of a rig, as JSON: numbers for limits and room, nothing of what cameras see."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import numpy as np
+
+from hardware.clearance import Obstacle
+from resync_robot.core.rig import ArmRig, CameraRig, ControllerRig, GripperRig, Rig
+
+T = TypeVar("T")
+
+
+def rig_to_json(rig: Rig) -> dict[str, Any]:
+    """See `rig_from_json`."""
+    return {
+        "name": rig.name, "arm": _table(rig.arm), "gripper": _table(rig.gripper),
+        "controller": None if rig.controller is None else _table(rig.controller),
+        "cameras": [_table(camera) for camera in rig.cameras],
+    }  # fmt: skip
+
+
+def rig_from_json(data: dict[str, Any]) -> Rig:
+    """A rig without what a camera's calibration and noise say."""
+    return Rig(
+        name=data["name"],
+        provenance="",
+        arm=_made(ArmRig, data["arm"]),
+        gripper=_made(GripperRig, data["gripper"]),
+        cameras=tuple(_made(CameraRig, table) for table in data["cameras"]),
+        controller=None if data["controller"] is None else _made(ControllerRig, data["controller"]),
+        hash="",
+    )
+
+
+def obstacles_to_json(obstacles: tuple[Obstacle, ...]) -> list[dict[str, Any]]:
+    """See `obstacles_from_json`."""
+    return [_table(obstacle) for obstacle in obstacles]
+
+
+def obstacles_from_json(data: list[dict[str, Any]]) -> list[Obstacle]:
+    """What `obstacles_to_json` was given."""
+    return [_made(Obstacle, table) for table in data]
+
+
+def _table(part: Any) -> dict[str, Any]:
+    values = {f.name: getattr(part, f.name) for f in fields(part)}
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in values.items()
+        if isinstance(value, np.ndarray | str | float | int)
+    }
+
+
+def _made(kind: type[T], table: dict[str, Any]) -> T:
+    return kind(**{name: np.array(value) if isinstance(value, list) else value for name, value in table.items()})
