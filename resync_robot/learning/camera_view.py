@@ -86,14 +86,15 @@ def says_done(said: Prediction) -> Bool[np.ndarray, " n"]:
     return (said.done > DONE) & (said.block[:, GAPS].min(1) > SEEN_FREE)
 
 
-LEANS, LET_GO = 0.12, 0.02
-"""From this sine of the block's lean on, as the policy sees it, the hand lets go, so far up in a step (m). The block
-falls back on its base; pulled on, it would soon lie on its side, where nothing can pick it."""
+LEANS, LET_GO, BESIDE = 0.25, 0.02, 0.05
+"""From this sine of the block's lean on, as the policy sees it, the hand lets go, so far up in a step (m), unless its
+tip is that far (m) above the block already. The block falls back on its base; pulled on, it would soon lie on its side,
+where nothing can pick it."""
 
 
 def careful_steps(said: Prediction) -> Float[np.ndarray, "n h 3"]:
     """The steps to take: the policy's own, or straight up where it sees the block lean."""
-    leans = np.linalg.norm(said.block[:, LEAN], axis=-1) > LEANS
+    leans = (np.linalg.norm(said.block[:, LEAN], axis=-1) > LEANS) & (said.block[:, 2] > -BESIDE)
     return np.where(leans[:, None, None], [0.0, 0.0, LET_GO], said.steps)
 
 

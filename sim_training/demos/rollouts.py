@@ -86,36 +86,34 @@ class Segment:
     ends: bool
 
 
+@dataclass(frozen=True)
+class _Frame:
+    """What was seen when a step began that was sent to `sent`, and where the teacher wanted it to go."""
+
+    seen: Seen
+    sent: np.ndarray
+    wanted: np.ndarray
+    recovered: bool
+    block: np.ndarray
+
+
 @dataclass
 class _Frames:
     """A segment that is being recorded."""
 
-    seen: list[Seen] = field(default_factory=list)
-    sent: list[np.ndarray] = field(default_factory=list)
-    wanted: list[np.ndarray] = field(default_factory=list)
-    recovered: list[bool] = field(default_factory=list)
-    block: list[np.ndarray] = field(default_factory=list)
-
-    def add(self, scene: RenderedRecovery, sent: np.ndarray, recovered: bool, wanted: np.ndarray | None = None) -> None:
-        self.seen.append(scene.see())
-        self.sent.append(np.array(sent))
-        self.wanted.append(np.array(sent if wanted is None else wanted))
-        self.recovered.append(recovered)
-        self.block.append(scene.block())
+    taken: list[_Frame] = field(default_factory=list)
 
     def finish(self, yaw: float, scanned: Scanned, ends: bool) -> Segment:
-        sent = np.stack(self.sent)
-        steps = np.stack(self.wanted)[1:] - sent[:-1]
+        sent = np.stack([f.sent for f in self.taken])
+        steps = np.stack([f.wanted for f in self.taken])[1:] - sent[:-1]
         # After the end the hand rests; before a burst nobody knows what the step after the last would have been.
         steps, count = (np.vstack([steps, np.zeros(3)]), len(sent)) if ends else (steps, len(sent) - 1)
         return Segment(
-            np.stack([s.pictures for s in self.seen[:count]]),
-            np.stack(
-                [state_seen(s.q, s.tip, g, yaw, scanned) for s, g in zip(self.seen[:count], sent[:count], strict=True)]
-            ),
+            np.stack([f.seen.pictures for f in self.taken[:count]]),
+            np.stack([state_seen(f.seen.q, f.seen.tip, f.sent, yaw, scanned) for f in self.taken[:count]]),
             to_hand(steps, yaw).astype(np.float32),
-            np.array(self.recovered[:count]),
-            np.stack(self.block[:count]).astype(np.float32),
+            np.array([f.recovered for f in self.taken[:count]]),
+            np.stack([f.block for f in self.taken[:count]]).astype(np.float32),
             np.ones(count, dtype=bool),
             ends,
         )
@@ -128,6 +126,7 @@ class _Run:
         self.scene, self.s, self.rng = scene, s, np.random.default_rng([seed, 53])
         self.student_left, self.taught, self.held, self.burst_left = student_steps, 0, 0, 0
         self.frames, self.segments = _Frames(), list[Segment]()
+        self.led_by: _Frame | None = None
         self.goal = scene.sent
         self.over = not scene.stands
         self.success = False
@@ -144,10 +143,17 @@ class _Run:
         if self.said_done >= DONE_IN_A_ROW or float(up_axis(self.scene.x)[0, 2]) < self.s.leaning:
             self.student_left = 0
 
+    def lead_in(self, seen: Seen, recovered: bool) -> None:
+        """Remember the step that begins now, which is not the teacher's. If the teacher's follows, the segment begins
+        with this one: what to do next when somebody else's step is under way is what a student has to know most of
+        all, first of all at the start, where the hand is at rest.
+        """
+        self.led_by = _Frame(seen, np.array(self.goal), np.array(self.goal), recovered, self.scene.block())
+
     def close_segment(self, ends: bool) -> None:
-        if len(self.frames.seen) > self.s.least_frames:
+        if len(self.frames.taken) > self.s.least_frames:
             self.segments.append(self.frames.finish(self.scene.yaw, self.scene.scanned, ends))
-        self.frames = _Frames()
+        self.frames, self.led_by = _Frames(), None
 
     def teach(self, action: Tensor, recovered: bool) -> None:
         """Decide where the tip goes in this step, and record it."""
@@ -155,12 +161,20 @@ class _Run:
         if self.burst_left > 0:
             self.burst_left -= 1
             self.goal = scene.reach(scene.sent + self.push)
+            self.lead_in(scene.see(), recovered)
             return
+        if not self.frames.taken:
+            if self.led_by is None:
+                self.goal = scene.sent
+                self.lead_in(scene.see(), recovered)
+                return
+            self.frames.taken.append(self.led_by)
         if self.held == 0 and not recovered and self.taught > 1 and self.rng.random() < s.burst_probability:
             self.close_segment(ends=False)
             self.burst_left = int(self.rng.integers(*s.burst_steps))
             self.push = self.rng.uniform(-s.burst_size, s.burst_size, 3)
             self.goal = scene.reach(scene.sent + self.push)
+            self.lead_in(scene.see(), recovered)
             return
         if recovered or self.held > 0:
             self.held += 1
@@ -170,7 +184,7 @@ class _Run:
         wanted = self.goal
         if s.unrecorded_noise and self.held == 0:
             self.goal = scene.reach(wanted + self.rng.normal(0.0, s.unrecorded_noise, 3))
-        self.frames.add(scene, self.goal, recovered, wanted)
+        self.frames.taken.append(_Frame(scene.see(), np.array(self.goal), np.array(wanted), recovered, scene.block()))
         self.taught += 1
         if self.held > s.hold:
             self.success, self.over = recovered, True
@@ -200,12 +214,14 @@ def demonstrate(
         steps = 0 if student is None else int(rng.integers(*s.drive))
         runs.append(_Run(RenderedRecovery(start, rig, recovery.lag, seed + i, s.picture), s, steps, seed + i))
     while any(not r.over for r in runs):
+        driven = [r for r in runs if r.with_student]
         if student is not None:
-            driven = [r for r in runs if r.with_student]
-            _advance_students(driven, student)
-            for r in driven:
+            seen = _advance_students(driven, student)
+            for r, o in zip(driven, seen, strict=True):
+                x, before = (_narrower(v, s.margin) for v in (r.scene.x, r.scene.previous))
+                r.lead_in(o, bool(is_recovered(x, before, recovery)))
                 r.call_teacher()
-        taught = [r for r in runs if not r.over and not r.with_student]
+        taught = [r for r in runs if not r.over and r not in driven]
         if taught:
             x = _narrower(torch.cat([r.scene.x for r in taught]), s.margin)
             previous = torch.cat([r.scene.previous for r in taught])
@@ -244,43 +260,47 @@ def look_around(
     """
     random = torch.Generator().manual_seed(seed)
     s = settings or RolloutSettings()
-    frames = _Frames()
-    states = []
+    found: list[tuple[np.ndarray, np.ndarray, bool, np.ndarray]] = []
     for i, start in enumerate(starts):
         scene = RenderedRecovery(start, rig, recovery.lag, seed + i, s.picture)
         for _ in range(each if scene.stands else 0):
             scene.freeze(random)
             x = _narrower(scene.x, s.margin)
-            frames.add(scene, scene.sent, bool(is_recovered(x, x, recovery)))
-            seen = frames.seen[-1]
-            states.append(state_seen(seen.q, seen.tip, scene.sent, scene.yaw, scene.scanned))
-    if not states:
+            seen = scene.see()
+            state = state_seen(seen.q, seen.tip, scene.sent, scene.yaw, scene.scanned)
+            found.append((seen.pictures, state, bool(is_recovered(x, x, recovery)), scene.block()))
+    if not found:
         return None
-    n = len(states)
+    n = len(found)
+    pictures, states, recovered, blocks = zip(*found, strict=True)
     return Segment(
-        np.stack([o.pictures for o in frames.seen]),
+        np.stack(pictures),
         np.stack(states),
         np.zeros((n, 3), dtype=np.float32),
-        np.array(frames.recovered),
-        np.stack(frames.block).astype(np.float32),
+        np.array(recovered),
+        np.stack(blocks).astype(np.float32),
         np.zeros(n, dtype=bool),
         ends=False,
     )
 
 
-def _advance_students(runs: Sequence[_Run], student: CameraPolicy) -> None:
-    """The next step of every run with a student at the helm: `goal` is what is under way, chunks say what follows."""
+def _advance_students(runs: Sequence[_Run], student: CameraPolicy) -> list[Seen]:
+    """The next step of every run with a student at the helm: `goal` is what is under way, chunks say what follows.
+    Returns what each of them sees as it begins.
+    """
     for r in runs:
         r.goal = r.scene.reach(r.scene.sent + camera_view.from_hand(r.chunks.next(), r.scene.yaw))
-    asking = [r for r in runs if r.chunks.wanting]
+    # Everybody looks at every step: a late camera is late by one step, however often it is asked.
+    seen = [r.scene.see() for r in runs]
+    asking = [(r, o) for r, o in zip(runs, seen, strict=True) if r.chunks.wanting]
     if not asking:
-        return
-    seen = [r.scene.see() for r in asking]
-    states = [state_seen(o.q, o.tip, r.goal, r.scene.yaw, r.scene.scanned) for o, r in zip(seen, asking, strict=True)]
-    said = student(np.stack([o.pictures for o in seen]), np.stack(states))
-    for r, steps, done in zip(asking, careful_steps(said), says_done(said), strict=True):
+        return seen
+    states = [state_seen(o.q, o.tip, r.goal, r.scene.yaw, r.scene.scanned) for r, o in asking]
+    said = student(np.stack([o.pictures for _, o in asking]), np.stack(states))
+    for (r, _), steps, done in zip(asking, careful_steps(said), says_done(said), strict=True):
         r.chunks.push(steps)
         r.said_done = r.said_done + 1 if done else 0
+    return seen
 
 
 @dataclass(frozen=True)

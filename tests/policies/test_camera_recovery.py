@@ -57,6 +57,7 @@ class Scripted:
     away: float = 0.0
     gap: float = 0.05
     lean: float = 0.0
+    up: float = -0.06
     views: tuple[int, ...] = (0, 1, 2)
     seconds: float = 0.0
     picture: int = PICTURE
@@ -69,7 +70,7 @@ class Scripted:
         return Prediction(
             np.tile(np.array(self.step), (1, 8, 1)),
             np.array([float(self.asked >= self.done_at)]),
-            np.array([[self.away, 0.0, -0.06, self.gap, 0.05, self.lean, 0.0]]),
+            np.array([[self.away, 0.0, self.up, self.gap, 0.05, self.lean, 0.0]]),
             np.eye(len(VIEWS))[None, list(self.views)],
         )
 
@@ -94,7 +95,11 @@ def test_a_policy_gets_pictures_of_the_size_that_it_wants() -> None:
 
 
 def test_a_block_that_leans_is_let_go() -> None:
-    pulled, let_go = (run(Scripted(step=(0.01, 0.0, 0.0), lean=lean))[1] for lean in (0.05, 0.3))
+    pulled, let_go, high_up = (
+        run(Scripted(step=(0.01, 0.0, 0.0), lean=lean, up=up))[1]
+        for lean, up in ((0.05, -0.01), (0.3, -0.01), (0.3, -0.06))
+    )
+    assert [tip[0] for tip in high_up.tips] == [tip[0] for tip in pulled.tips], "it has let go already"
     assert max(tip[0] for tip in pulled.tips) > max(tip[0] for tip in let_go.tips) + 0.005
     assert np.ptp([tip[1] for tip in let_go.tips[-50:]]) < 1e-3, "straight up"
 

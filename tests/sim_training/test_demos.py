@@ -160,6 +160,13 @@ def test_a_segment_s_actions_are_the_steps_that_were_carried_out() -> None:
     assert all(s.ends and s.recovered[-1] and not s.action[-1].any() for s in last)
 
 
+def test_a_demonstration_begins_like_a_deployment_with_a_hand_at_rest() -> None:
+    calm = RolloutSettings(burst_probability=0.0)
+    found = demonstrate([FREE] * 8, RIG, upwards, RecoverySettings(), seed=3, settings=calm)
+    low = [s for (s,) in found if not s.recovered[0]]
+    assert low and all(np.abs(s.state[0, 9:12]).max() < 1e-3 and s.action[0, 2] > 0.01 for s in low)
+
+
 def test_a_burst_is_not_recorded_and_splits_the_episode() -> None:
     calm = demonstrate([FREE], RIG, still, RecoverySettings(), 5, settings=RolloutSettings(burst_probability=0.0))
     assert [s.ends for s in calm[0]] == [True]
