@@ -91,8 +91,18 @@ class Clearance:
         self._frame = np.array([links[i][0] for i in range(len(NAMES))])
         self._ends = np.array([[(*links[i][1], 1.0), (*links[i][2], 1.0)] for i in range(len(NAMES))])
         self._radius = np.array([links[i][3] for i in range(len(NAMES))])
+        self._obstacles: tuple[Obstacle, ...] = ()
         self._pairs = np.array(PAIRS)
-        self.obstacles: tuple[Obstacle, ...] = ()
+        self._above, self._still = np.array(ABOVE_TABLE), len(NAMES)
+        self._reference: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        return self._obstacles
+
+    @obstacles.setter
+    def obstacles(self, obstacles: tuple[Obstacle, ...]) -> None:
+        self._obstacles, self._reference = obstacles, None
 
     def frames(self, q: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 7 4 4"]:
         """Poses in the world of the base and of the six DH frames, the last of which is the flange's."""
@@ -110,27 +120,59 @@ class Clearance:
 
     def smallest(self, frames: Float[np.ndarray, "n 7 4 4"]) -> Gap:
         """The narrowest gap over all configurations, given by their `frames`."""
-        ends = np.einsum("npij,pkj->npki", frames[:, self._frame], self._ends)[..., :3]
+        gaps = self._gaps(self._segments(frames))
+        row, column = np.unravel_index(int(gaps.argmin()), gaps.shape)
+        return self._named(float(gaps[row, column]), int(column))
+
+    def below(self, frames: Float[np.ndarray, "n 7 4 4"], margin: float) -> Gap | None:
+        """The narrowest gap, where it is below `margin` m; None where all are wider.
+
+        No point of a segment moves further than one of its ends, so as long as two parts have moved less than what
+        they had to spare when their gap was last measured, it need not be measured again. Of an arm that is watched
+        target by target, that is mostly so.
+        """
+        ends = self._segments(frames)
+        if self._reference is not None:
+            before, spare = self._reference
+            moved = np.append(np.linalg.norm(ends - before, axis=-1).max(axis=(0, 2)), 0.0)
+            if (moved[self._movers()].sum(axis=1) <= spare - margin).all():
+                return None
+        gaps = self._gaps(ends)
+        self._reference = ends[-1], gaps[-1]
+        row, column = np.unravel_index(int(gaps.argmin()), gaps.shape)
+        return self._named(float(gaps[row, column]), int(column)) if gaps[row, column] < margin else None
+
+    def _segments(self, frames: np.ndarray) -> Float[np.ndarray, "n p 2 3"]:
+        return np.einsum("npij,pkj->npki", frames[:, self._frame], self._ends)[..., :3]
+
+    def _movers(self) -> np.ndarray:
+        """(m, 2) the parts that each gap lies between; beyond their number for what stands still."""
+        standing = np.stack([self._above, np.full(len(self._above), self._still)], axis=1)
+        return np.concatenate([self._pairs, *[standing] * (1 + len(self._obstacles))])
+
+    def _named(self, distance: float, column: int) -> Gap:
+        if column < len(self._pairs):
+            one, other = self._pairs[column]
+            return Gap(distance, NAMES[one], NAMES[other])
+        standing, part = divmod(column - len(self._pairs), len(self._above))
+        return Gap(distance, NAMES[self._above[part]], ["table", *(o.name for o in self._obstacles)][standing])
+
+    def _gaps(self, ends: Float[np.ndarray, "n p 2 3"]) -> Float[np.ndarray, "n m"]:
+        """Between the pairs, then above the table, then to one obstacle after the other."""
         one, other = self._pairs[:, 0], self._pairs[:, 1]
         between = _distance(ends[:, one], ends[:, other]) - (self._radius[one] + self._radius[other])
-        row, pair = np.unravel_index(int(between.argmin()), between.shape)
-        gaps = [Gap(float(between[row, pair]), NAMES[one[pair]], NAMES[other[pair]])]
-        parts = np.array(ABOVE_TABLE)
-        height = ends[:, parts][..., 2].min(axis=2) - self._radius[parts] - self._table_z
-        row, part = np.unravel_index(int(height.argmin()), height.shape)
-        gaps.append(Gap(float(height[row, part]), NAMES[parts[part]], "table"))
-        gaps += [self._to_obstacle(ends[:, parts], parts, obstacle) for obstacle in self.obstacles]
-        return min(gaps, key=lambda gap: gap.distance)
+        ends, radius = ends[:, self._above], self._radius[self._above]
+        height = ends[..., 2].min(axis=2) - radius - self._table_z
+        return np.concatenate([between, height, *(_outside(ends, o) - radius for o in self._obstacles)], axis=1)
 
-    def _to_obstacle(self, ends: np.ndarray, parts: np.ndarray, obstacle: Obstacle) -> Gap:
-        share = np.linspace(0.0, 1.0, 9)[:, None]
-        points = ends[:, :, :1] * (1 - share) + ends[:, :, 1:] * share
-        pose = obstacle.world_T_middle
-        local = (points - pose[:3, 3]) @ pose[:3, :3]
-        outside = np.linalg.norm(np.maximum(np.abs(local) - obstacle.half, 0.0), axis=-1).min(axis=2)
-        gap = outside - self._radius[parts]
-        row, part = np.unravel_index(int(gap.argmin()), gap.shape)
-        return Gap(float(gap[row, part]), NAMES[parts[part]], obstacle.name)
+
+def _outside(ends: Float[np.ndarray, "n p 2 3"], obstacle: Obstacle) -> Float[np.ndarray, "n p"]:
+    """How far segments lie outside a box-shaped thing, by nine of their points."""
+    share = np.linspace(0.0, 1.0, 9)[:, None]
+    points = ends[:, :, :1] * (1 - share) + ends[:, :, 1:] * share
+    pose = obstacle.world_T_middle
+    local = (points - pose[:3, 3]) @ pose[:3, :3]
+    return np.linalg.norm(np.maximum(np.abs(local) - obstacle.half, 0.0), axis=-1).min(axis=2)
 
 
 def _distance(one: Float[np.ndarray, "*b 2 3"], other: Float[np.ndarray, "*b 2 3"]) -> Float[np.ndarray, "*b"]:

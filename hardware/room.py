@@ -94,8 +94,8 @@ class Room:
                     f"the tip would be at {'xyz'[axis]} = {value:.3f} m; allowed: {bounds}",
                     "[controller] workspace_low and workspace_high in the rig file set the limits",
                 )  # fmt: skip
-        gap = self._clearance.smallest(frames)
-        if gap.distance < MARGIN:
+        gap = self._clearance.below(frames, MARGIN)
+        if gap is not None:
             raise SafetyError(
                 "clearance", gap.one, gap.distance, MARGIN,
                 f"{gap.one} would be {1000 * gap.distance:.0f} mm from {gap.other}; allowed: {1000 * MARGIN:.0f} mm",

@@ -44,6 +44,28 @@ def test_the_smallest_of_many_is_the_smallest_of_each(q: np.ndarray, order: list
     assert smallest(many).distance == pytest.approx(min(smallest(one).distance for one in many))
 
 
+WALL = Obstacle("box", spatial.transform(None, np.array([0.48, 0.0, 0.06])), np.array([0.18, 0.18, 0.06]))
+
+
+@given(
+    arrays(float, 6, elements=st.floats(-1.0, 1.0)),
+    arrays(float, (12, 6), elements=st.floats(-0.1, 0.1)),
+    st.floats(0.0, 0.1),
+    st.booleans(),
+)
+def test_whoever_watches_an_arm_move_misses_no_narrow_gap(
+    away: np.ndarray, steps: np.ndarray, margin: float, walled: bool
+) -> None:
+    watching = Clearance(RIG)
+    watching.obstacles = (WALL,) if walled else ()
+    for q in RIG.arm.home + away + np.cumsum(steps, axis=0):
+        frames = watching.frames(np.array([q - 0.005, q]))
+        narrow, below = watching.smallest(frames), watching.below(frames, margin)
+        if abs(narrow.distance - margin) > 1e-9:
+            assert (below is not None) == (narrow.distance < margin)
+        assert below is None or below == narrow
+
+
 @given(ANGLES, st.floats(-3, 3))
 def test_turning_the_base_changes_nothing_between_the_parts(q: np.ndarray, turn: float) -> None:
     turned = q + np.array([turn, 0, 0, 0, 0, 0])
