@@ -136,7 +136,7 @@ def deploy(config: DeployConfig) -> int:
         else "Poses from the simulator (--perception oracle)."
     )
     if by_camera:
-        say(f"{domain.recovery} sees pictures of {', '.join(VIEWS)} and the joints, nothing else.")
+        say(f"{domain.recovery} sees pictures of {', '.join(VIEWS)}, the joints, and what the scan measured.")
     elif simulated:
         say(
             f"{domain.recovery} follows its block through the simulator's state while it runs; "
