@@ -8,4 +8,4 @@ if [ ! -e "$library/library.json" ]; then
   library=runs/demo-training/library
   [ -e "$library/library.json" ] || resync-robot train-sim --preset quick --out runs/demo-training
 fi
-resync-robot deploy --backend sim --library "$library" --scenario s1 --seed 1 --episodes 1 --perception camera
+resync-robot deploy --backend sim --library "$library" --scenario s1 --episodes 1 --perception camera
