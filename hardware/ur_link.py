@@ -41,6 +41,8 @@ LOOKAHEAD, GAIN = 0.1, 300.0
 """s and the proportional gain of servoj: the smoothest that the controller offers without lagging more."""
 LINK_LOST, STILL_RUNNING = 3, 4
 """Exit codes. After any but 0 the driver ends the robot's program, if one was uploaded."""
+WHY_S = 0.05
+"""How long the reason of a stop may come after it."""
 END_S = 2.0
 """How long the client may take to end the program; it waits for ever for a controller that is gone."""
 
@@ -232,6 +234,16 @@ class Link:
                 return way
         return None
 
+    def learn_why(self) -> None:
+        """Wait for two states that came after the stop, or `WHY_S`: one read while it came may name no reason yet."""
+        limit, seen = time.monotonic() + WHY_S, 0
+        while seen < 2 and time.monotonic() < limit:
+            before = float(self._now["time"])
+            time.sleep(PERIOD)
+            if self.look() is Fault.LINK_LOST:
+                return
+            seen += float(self._now["time"]) != before
+
     def watch_after(self, fault: Fault) -> None:
         """Send nothing, publish what the robot says, until the driver lets go or the link is lost."""
         while not self._driver_gone.is_set():
@@ -271,6 +283,8 @@ def main() -> None:
 def serve(link: Link, memory: LinkMemory) -> int:
     """Send setpoints to the end; the exit code."""
     fault = link.run()
+    if fault is Fault.STOPPED:
+        link.learn_why()
     memory.words["fault"] = int(fault)
     if fault is Fault.LINK_LOST:
         return LINK_LOST

@@ -1,4 +1,4 @@
-"""The recovery as the deployed robot runs it: three pictures and the joints in, steps of the hand out.
+"""The recovery as the deployed robot runs it: three pictures, the joints and the scan in, steps of the hand out.
 
 The policy thinks on a thread of its own while the step before is carried out, so the stream of targets never waits
 for it. A monitor looks at the same pictures and predictions, and ends the skill where they make no sense: the planner

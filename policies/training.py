@@ -50,7 +50,10 @@ class DistilSettings:
 
 
 def has_bf16(device: str) -> bool:
-    """Does the device compute in bfloat16 faster than in single precision? A CPU without it emulates it slowly."""
+    """Does the device compute in bfloat16 faster than in single precision? A CPU without it emulates it slowly.
+
+    Machines that differ in this train policies that differ in their last digits, as other processors do anyway.
+    """
     if device != "cpu":
         return True
     # torch has no public way to ask; other versions may call it otherwise.

@@ -53,7 +53,7 @@ class DeployConfig:
     """Where poses come from: RGB-D pictures, or the simulator's own state."""
 
     skills: Literal["auto", "camera", "state"] = "auto"
-    """What the learned skills see while they run: pictures and joints, or the simulator's state of the objects. auto:
+    """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
     pictures, where the library holds a camera policy."""
 
     segmenter: Literal["colour", "sam3"] = "colour"

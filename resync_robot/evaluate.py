@@ -56,7 +56,7 @@ class EvaluateConfig:
     """Where poses come from: RGB-D pictures, or the simulator's own state."""
 
     skills: Literal["auto", "camera", "state"] = "auto"
-    """What the learned skills see while they run: pictures and joints, or the simulator's state of the objects. auto:
+    """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
     pictures, where poses come from the camera too and the library holds a camera policy."""
 
     worlds: Literal["usual", "unseen"] = "usual"

@@ -10,7 +10,7 @@ from resync_robot.core.skill import Ending, Outcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms
 from resync_robot.planning.execute import End
-from tests.planning.test_execute import FULL, A, B, Kitchen, Notes, kitchen, model, nothing, setting
+from tests.planning.kitchen import FULL, A, B, Kitchen, Notes, kitchen, model, nothing, setting
 
 GOAL = frozenset({FULL(A)})
 BLOCKED = Outcome(Ending.BLOCKED, "a wall")

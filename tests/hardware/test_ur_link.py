@@ -123,6 +123,11 @@ def test_a_link_that_crashes_has_its_program_stopped(lab: Lab) -> None:
     assert lab.stopped == ["program"]
 
 
+def test_a_stop_is_named_though_its_reason_is_read_after_it(lab: Lab) -> None:
+    with pytest.raises(RobotError, match="emergency stop of the system"):
+        Stream(lab.connect("stop"), lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 1.0)
+
+
 def test_a_link_that_never_began_leaves_the_others_program_alone(lab: Lab) -> None:
     with pytest.raises(RobotError, match="another program controls"):
         lab.connect("in use")

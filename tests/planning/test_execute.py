@@ -2,157 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 
-import numpy as np
 import pytest
 
 from resync_robot.core.errors import UnknownNameError
-from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, Predicate, Type
-from resync_robot.core.symbols import Variable as V
+from resync_robot.core.symbols import Object, Operator
 from resync_robot.core.world import Observation
-from resync_robot.doubt import DoubtingAbstraction
-from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import Affordance, End, ExecuteSettings, Listener, Model, plan_f, run_skill
-from resync_robot.planning.search import Plan
-
-CUP = Type("cup", ("open", "full", "clean"))
-"""A cup is opened, cleaned and filled; each feature is 0 or 1, and each predicate reads one."""
-A, B = CUP("a"), CUP("b")
-PREDICATES = tuple(Predicate(name, (CUP,)) for name in ("Open", "Full", "Clean"))
-OPEN, FULL, CLEAN = PREDICATES
-_x = V("?x", CUP)
-UNLID = Operator("Unlid", (_x,), add=frozenset({OPEN(_x)}))
-FILL = Operator("Fill", (_x,), frozenset({OPEN(_x), CLEAN(_x)}), frozenset({FULL(_x)}))
-WIPE = Operator("Wipe", (_x,), add=frozenset({CLEAN(_x)}))
-LIMIT = (1.0,) * 6
-
-
-@dataclass
-class Kitchen:
-    """A `World` of cups. Skills write to `wanted`; each control step makes it true."""
-
-    state: State
-    time: float = 0.0
-    pace: float = 1.0
-    """Share of full speed; each control step takes the longer."""
-    log: list[str] = field(default_factory=list)
-    wanted: Callable[[State], State] | None = None
-
-    def observe(self, live: bool = False) -> Observation:
-        self.log.append(f"observe live={live}")
-        return Observation(self.time, np.zeros(6), np.zeros(6), 0.0, np.zeros(3), self.state)
-
-    def act(self, target: JointTarget, duration: float) -> None:
-        self.time += duration / self.pace
-        self.log.append(f"act {duration}")
-        if self.wanted:
-            self.state, self.wanted = self.wanted(self.state), None
-
-    def perceive(self) -> State:
-        return self.state
-
-    def limit_effort(self, limit: tuple[float, ...] | None) -> None:
-        self.log.append(f"limit {limit}")
-
-
-@dataclass
-class Toy:
-    """A policy: `change` the world in its second step, then end with `outcome`; None goes on for ever."""
-
-    kitchen: Kitchen
-    change: Callable[[State], State]
-    outcome: Outcome | None
-    steps: int = 0
-
-    def step(self, observation: Observation) -> JointTarget | Outcome:
-        self.steps += 1
-        if self.steps == 2:
-            self.kitchen.wanted = self.change
-        return self.outcome if self.outcome and self.steps > 2 else JointTarget(np.zeros(6), 0.0)
-
-
-def setting(feature: str, value: float = 1.0) -> Callable[[Object], Callable[[State], State]]:
-    return lambda cup: lambda state: state.with_features(cup, **{feature: value})
-
-
-def nothing(cup: Object) -> Callable[[State], State]:
-    return lambda state: state
-
-
-def kitchen(**true: str) -> Kitchen:
-    """Cups a and b; keywords say of which cup a feature holds, such as open="ab"."""
-    return Kitchen(State({cup: np.array([float(cup.name in true.get(f, "")) for f in CUP.features]) for cup in (A, B)}))
-
-
-def model(world: Kitchen, **changes: object) -> Model:
-    """All three skills; a keyword replaces what one does: (object -> change of the state, outcome)."""
-    done = Outcome(Ending.DONE)
-    does = {"Unlid": (setting("open"), done), "Fill": (setting("full"), done), "Wipe": (setting("clean"), done)}
-    does |= {k: v for k, v in changes.items() if k in does}
-
-    def skill(name: str) -> Skill:
-        change, outcome = does[name]
-        return Skill(name, (CUP,), lambda objects, first: Toy(world, change(objects[0]), outcome), 10.0, 2.0)
-
-    def reader(feature: str) -> Callable[[State, tuple[Object, ...]], float]:
-        return lambda state, objects: float(state.get(objects[0], feature)[0])
-
-    classifiers = {p.name: reader(p.name.lower()) for p in PREDICATES}
-    return Model(
-        {name: skill(name) for name in does},
-        Abstraction(PREDICATES, classifiers),
-        changes.get("operators", (UNLID, FILL, WIPE)),
-        changes.get("affordances", {}),
-    )
-
-
-class Notes(Listener):
-    """Writes down what it hears."""
-
-    def __init__(self, decline: str = "") -> None:
-        self.heard: list[str] = []
-        self.reasons: list[str] = []
-        self.seen: list[Mapping[Atom, float]] = []
-        self.decline = decline
-
-    def on_perceived(self, state: State, atoms: Mapping[Atom, float]) -> None:
-        self.heard.append("perceived")
-        self.seen.append(atoms)
-
-    def on_plan(self, plan: Plan, reason: str) -> None:
-        self.heard.append(f"plan {plan}")
-        self.reasons.append(reason)
-
-    def on_step_of_plan(self, index: int) -> None:
-        self.heard.append(f"step {index}")
-
-    def on_skill_start(self, skill: GroundSkill) -> None:
-        self.heard.append(f"start {skill}")
-
-    def on_control(self, observation: Observation, target: JointTarget) -> None:
-        self.heard.append("control")
-
-    def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
-        self.heard.append(f"end {skill} {outcome.ending.value}")
-
-    def on_end(self, end: End, reason: str) -> None:
-        self.heard.append(f"over: {end.value}")
-
-    def confirm(self, step: GroundOperator) -> bool:
-        self.heard.append(f"may {step}?")
-        return str(step) != self.decline
-
-    @property
-    def plans(self) -> list[str]:
-        return [h.removeprefix("plan ") for h in self.heard if h.startswith("plan ")]
-
-
-GOAL: Atoms = frozenset({FULL(A)})
+from resync_robot.planning.execute import End, ExecuteSettings, Model, plan_f, run_skill
+from tests.planning.kitchen import (
+    CLEAN,
+    CUP,
+    FULL,
+    GOAL,
+    LIMIT,
+    OPEN,
+    UNLID,
+    A,
+    B,
+    Notes,
+    Toy,
+    X,
+    kitchen,
+    model,
+    nothing,
+    setting,
+)
 
 
 def test_a_plan_that_works_is_carried_out_step_by_step() -> None:
@@ -224,7 +101,7 @@ def test_it_plans_again_where_the_next_step_lost_its_precondition() -> None:
 
 
 def test_a_missing_delete_effect_counts_as_failure() -> None:
-    drain = Operator("Fill", (_x,), frozenset({OPEN(_x)}), frozenset({FULL(_x)}), frozenset({OPEN(_x)}))
+    drain = Operator("Fill", (X,), frozenset({OPEN(X)}), frozenset({FULL(X)}), frozenset({OPEN(X)}))
     world = kitchen(open="ab")
     two = frozenset({FULL(A), FULL(B)})
     result = plan_f(world, model(world, operators=(drain, UNLID)), two, ExecuteSettings(max_failures=1))
@@ -275,89 +152,6 @@ def test_a_declined_step_stops_the_episode_before_it_moves() -> None:
     assert result.reason == "Fill(a) was declined"
     assert "start Unlid(a)" in notes.heard and "start Fill(a)" not in notes.heard
     assert notes.heard[-1] == "over: stopped"
-
-
-AFFORDANCES = {"Fill": Affordance("Clean", 0)}
-
-
-def test_after_a_failure_the_atom_it_relied_on_is_distrusted_until_restored() -> None:
-    # The cup looks clean and is not: filling fails until it was wiped.
-    world, notes, wiped = kitchen(open="a", clean="a"), Notes(), []
-
-    def wipe(cup: Object) -> Callable[[State], State]:
-        wiped.append(cup)
-        return nothing(cup)
-
-    def fill(cup: Object) -> Callable[[State], State]:
-        return setting("full")(cup) if wiped else nothing(cup)
-
-    done = Outcome(Ending.DONE)
-    blind = model(world, Fill=(fill, done), Wipe=(wipe, done))
-    assert plan_f(world, blind, GOAL, ExecuteSettings(max_failures=2)).end is End.STUCK
-    wary = model(world, Fill=(fill, done), Wipe=(wipe, done), affordances=AFFORDANCES)
-    result = plan_f(world, wary, GOAL, ExecuteSettings(max_failures=2), notes)
-    assert result.success
-    assert notes.plans == ["Fill(a)", "Wipe(a), Fill(a)"]
-    assert notes.seen[-1][CLEAN(A)] == 1.0
-
-
-def test_distrust_concerns_the_object_that_failed_only() -> None:
-    world, notes = kitchen(open="ab", clean="ab"), Notes()
-
-    def only_b(cup: Object) -> Callable[[State], State]:
-        return setting("full")(cup) if cup == B else nothing(cup)
-
-    goal = frozenset({FULL(A), FULL(B)})
-    fills = model(world, Fill=(only_b, Outcome(Ending.DONE)), affordances=AFFORDANCES)
-    plan_f(world, fills, goal, ExecuteSettings(max_failures=2), notes)
-    assert not any("Wipe(b)" in plan for plan in notes.plans)
-    assert any("Wipe(a)" in plan for plan in notes.plans)
-
-
-def test_doubt_that_leaves_no_plan_is_dropped_and_the_skill_tried_again() -> None:
-    world, notes, tries = kitchen(open="a", clean="a"), Notes(), []
-
-    def fills_the_second_time(cup: Object) -> Callable[[State], State]:
-        tries.append(1)
-        return setting("full")(cup) if len(tries) > 1 else nothing(cup)
-
-    fills = (fills_the_second_time, Outcome(Ending.DONE))
-    without_wiping = model(world, Fill=fills, operators=(UNLID, FILL), affordances=AFFORDANCES)
-    result = plan_f(world, without_wiping, GOAL, listener=notes)
-    assert result.success
-    assert notes.reasons == ["start", "nothing else is left to try than to believe what is most likely"]
-
-
-@dataclass
-class Murky(Kitchen):
-    """A kitchen in which nobody sees well how clean the first cup is."""
-
-    def perceive(self) -> State:
-        seen = self.state.with_features(A, clean=0.6 if self.state.get(A, "full")[0] < 0.5 else 1.0)
-        return State({cup: seen[cup] for cup in seen}, {A: np.diag([0.0, 0.0, 0.25**2])})
-
-
-def test_where_doubt_leaves_no_plan_the_likelier_atoms_are_planned_with() -> None:
-    world, notes = Murky(kitchen(open="a").state), Notes()
-    sure = model(world, operators=(UNLID, FILL))
-    doubting = DoubtingAbstraction(sure.abstraction)
-    assert CLEAN(A) in doubting.doubtful(world.perceive())
-    unsure = Model(sure.skills, doubting, sure.operators)
-    result = plan_f(world, unsure, GOAL, listener=notes)
-    assert result.success and result.reason == ""
-    assert notes.reasons == ["nothing else is left to try than to believe what is most likely"]
-    # Where something can be done about it, that comes first.
-    wiping, notes = Model(sure.skills, doubting, (UNLID, FILL, WIPE)), Notes()
-    plan_f(Murky(kitchen(open="a").state), wiping, GOAL, ExecuteSettings(max_skills=1), notes)
-    assert notes.plans[0] == "Wipe(a), Fill(a)"
-
-
-def test_a_likely_goal_that_nothing_can_make_surer_says_so() -> None:
-    world = Murky(kitchen().state)
-    result = plan_f(world, Model({}, DoubtingAbstraction(model(world).abstraction), ()), frozenset({CLEAN(A)}))
-    assert result.success and "not all of it is certain" in result.reason
-    result = plan_f(world, Model({}, DoubtingAbstraction(model(world).abstraction), ()), frozenset({OPEN(A)}))
-    assert result.end is End.NO_PLAN
 
 
 def test_a_reaction_is_asked_after_a_failure_and_its_skill_is_run() -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from policies.camera_recovery import MonitorSettings, camera_recovery_skill
+from policies.camera_recovery import MonitorSettings, Stopped, Watch, camera_recovery_skill
 from policies.grasp import travel_height
 from policies.neural import RecoverySkillSettings
 from resync_robot.core.skill import Ending, Outcome
@@ -75,6 +75,9 @@ class Scripted:
         )
 
 
+OBSERVED = np.zeros((1, len(VIEWS), PICTURE, PICTURE, 3), np.uint8), np.zeros((1, len(STATE_NAMES)))
+
+
 def run(policy: Callable[..., Prediction], **world: object) -> tuple[Outcome, Seeing]:
     seeing = Seeing(SCENE, **world)  # type: ignore[arg-type]
     skill = camera_recovery_skill("Recover", policy, RIG, SETTINGS)
@@ -102,6 +105,29 @@ def test_a_block_that_leans_is_let_go() -> None:
     assert [tip[0] for tip in high_up.tips] == [tip[0] for tip in pulled.tips], "it has let go already"
     assert max(tip[0] for tip in pulled.tips) > max(tip[0] for tip in let_go.tips) + 0.005
     assert np.ptp([tip[1] for tip in let_go.tips[-50:]]) < 1e-3, "straight up"
+
+
+def taken_for(picture: float, other: float) -> Prediction:
+    """How surely the pictures of front and side are taken for their own camera's, and for each other's."""
+    rest = 1.0 - picture - other
+    views = np.array([[picture, other, rest], [other, picture, rest], [0.1, 0.1, 0.8]])
+    return replace(Scripted()(*OBSERVED), views=views[None])
+
+
+def test_a_world_that_looks_odd_to_all_cameras_is_no_exchange() -> None:
+    watch = Watch(MonitorSettings(), RIG)
+    for _ in range(60):
+        watch.prediction(taken_for(0.3, 0.5))
+    with pytest.raises(Stopped, match="camera 'front' look like those of 'side'"):
+        for _ in range(200):
+            watch.prediction(taken_for(0.05, 0.9))
+
+
+def test_exchanged_cameras_are_noticed_within_a_few_pictures() -> None:
+    watch = Watch(MonitorSettings(), RIG)
+    with pytest.raises(Stopped, match="camera 'front' look like those of 'side'"):
+        for _ in range(4):
+            watch.prediction(taken_for(0.05, 0.9))
 
 
 def test_a_policy_that_says_done_beside_a_wall_is_not_believed() -> None:

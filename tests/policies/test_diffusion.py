@@ -14,7 +14,7 @@ import torch
 
 from policies import trunk
 from policies.diffusion import IMAGES, SIZES, DiffusionSettings, DiffusionStudent, load_student
-from policies.training import DistilSettings, Trainer, chunks_of, statistics_of
+from policies.training import DistilSettings, Trainer, chunks_of, has_bf16, statistics_of
 from resync_robot.core.errors import PolicyError, TrainingError
 from resync_robot.core.rig import CameraRig, load_rig
 from resync_robot.distil import PLANS
@@ -199,6 +199,25 @@ def trainer(student: DiffusionStudent | None = None, bf16: bool = False) -> Trai
 
 def weights(t: Trainer) -> np.ndarray:
     return np.concatenate([p.detach().numpy().ravel() for p in t.student.parameters()])
+
+
+@pytest.mark.parametrize(
+    ("answers", "expected"),
+    [
+        ({"avx512_bf16": False, "amx_tile": False}, False),
+        ({"avx512_bf16": True, "amx_tile": False}, True),
+        ({"avx512_bf16": False, "amx_tile": True}, True),
+        ({}, False),
+    ],
+)
+def test_bfloat16_is_for_cpus_that_have_it(
+    monkeypatch: pytest.MonkeyPatch, answers: dict[str, bool], expected: bool
+) -> None:
+    for name in ("avx512_bf16", "amx_tile"):
+        monkeypatch.delattr(torch.cpu, f"_is_{name}_supported", raising=False)
+        if name in answers:
+            monkeypatch.setattr(torch.cpu, f"_is_{name}_supported", lambda a=answers[name]: a, raising=False)
+    assert has_bf16("cpu") is expected and has_bf16("cuda")
 
 
 def test_a_resumed_training_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:

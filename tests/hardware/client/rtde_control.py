@@ -53,6 +53,8 @@ class RTDEControlInterface:
             raise RuntimeError("the library has a bad day")
         if self._count > GOOD and FAULT == "hang":
             time.sleep(60.0)
+        if self._count > GOOD and FAULT == "stop":
+            told["stopped"] = True
         self._log.write(" ".join(map(str, q)) + "\n")
         return True
 

@@ -6,91 +6,25 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hardware.base import ProtectiveStopError, RobotError, SafetyError, StaleError
-from hardware.emulator.controller import ControllerSettings, RobotMode, SafetyMode
+from hardware.emulator.controller import SafetyMode
 from hardware.emulator.faults import FAULTS
 from hardware.emulator.server import Emulator
-from hardware.robotiq import Robotiq
 from hardware.stream import Stream
 from hardware.travel import travel
 from hardware.ur7e import Ur7e
-from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
-from tests import emulators
+from tests.hardware.ur7e.motions import during_motion, is_still, link_of, swing, wait_for
 
 pytestmark = pytest.mark.realtime
 
-
-ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture(autouse=True)
-def client() -> None:
-    emulators.need_client()
-
-
-@pytest.fixture
-def machine() -> Iterator[Emulator]:
-    with emulators.emulated() as emulator:
-        yield emulator
-
-
-@pytest.fixture
-def rig(machine: Emulator) -> Rig:
-    return emulators.rig_at(machine.address)
-
-
-@pytest.fixture
-def robot(machine: Emulator, rig: Rig) -> Iterator[Ur7e]:
-    robot = Ur7e(rig, Robotiq(machine.address))
-    yield robot
-    robot.close()
-
-
-def swing(stream: Stream, rig: Rig, seconds: float, begin: float = 0.0) -> None:
-    """Move the first joint to and fro, at up to 0.4 rad/s, as from `begin` s of that motion on."""
-    for k in range(round(begin / 0.02), round((begin + seconds) / 0.02)):
-        q = rig.arm.home.copy()
-        q[0] += 0.2 * np.sin(2 * k * 0.02)
-        stream.run(JointTarget(q, 0.1), 0.02)
-
-
-def during_motion(robot: Ur7e, rig: Rig, happen: Callable[[], object]) -> BaseException:
-    """What a motion ends with when `happen` happens in the midst of it."""
-    stream = Stream(robot, rig)
-    swing(stream, rig, 0.5)
-    timer = threading.Timer(0.1, happen)
-    timer.start()
-    try:
-        with pytest.raises(RobotError) as caught:
-            swing(stream, rig, 8.0, begin=0.5)
-    finally:
-        timer.join()
-    return caught.value
-
-
-def link_of(robot: Ur7e) -> subprocess.Popen[bytes]:
-    assert robot._link is not None
-    return robot._link.process
-
-
-def is_still(machine: Emulator) -> bool:
-    return bool(np.abs(machine.controller.velocity).max() < 1e-9)
-
-
-def wait_for(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
-    deadline = time.monotonic() + seconds
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return condition()
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize(
@@ -125,41 +59,6 @@ def test_a_stop_ends_the_motion_and_nothing_resumes_it(
             robot.servo(rig.arm.home, 0.1)
     assert machine.controller.uploads == uploads == 1
     assert machine.controller.program is None
-
-
-@pytest.mark.parametrize(
-    ("mode", "word"),
-    [
-        (SafetyMode.ROBOT_EMERGENCY_STOP, "release it and switch the arm on"),
-        (SafetyMode.SYSTEM_EMERGENCY_STOP, "release it and switch the arm on"),
-        (SafetyMode.SAFEGUARD_STOP, "safeguard"),
-        (SafetyMode.AUTOMATIC_MODE_SAFEGUARD_STOP, "safeguard"),
-        (SafetyMode.SYSTEM_THREE_POSITION_ENABLING_STOP, "enabling device"),
-        (SafetyMode.VIOLATION, "safety limit was violated"),
-        (SafetyMode.FAULT, "has a fault"),
-        (SafetyMode.RECOVERY, "outside its safety limits"),
-    ],
-)
-def test_no_connection_to_a_robot_that_must_not_move(
-    machine: Emulator, robot: Ur7e, mode: SafetyMode, word: str
-) -> None:
-    machine.call(lambda: machine.controller.set_safety(mode))
-    with pytest.raises(RobotError, match=word):
-        robot.connect()
-    assert machine.controller.uploads == 0
-    # No software resets it.
-    assert machine.controller.safety_mode is mode
-
-
-def test_no_connection_without_power_or_in_local_control(machine: Emulator, robot: Ur7e) -> None:
-    machine.call(lambda: machine.controller.power(RobotMode.IDLE))
-    with pytest.raises(RobotError, match="brakes are on"):
-        robot.connect()
-    machine.call(lambda: machine.controller.power(RobotMode.RUNNING))
-    machine.call(lambda: setattr(machine.controller, "remote", False))
-    with pytest.raises(RobotError, match="local control"):
-        robot.connect()
-    assert machine.controller.uploads == 0
 
 
 def test_a_protective_stop_is_acknowledged_after_5_s_and_begins_where_the_arm_is(
@@ -337,76 +236,12 @@ def test_a_killed_client_leaves_the_robot_stopped(machine: Emulator, link_too: b
             process.stdout.close()
 
 
-def test_only_one_program_controls_the_robot(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
-    """And whoever is refused leaves the other one's program alone."""
-    with robot:
-        with pytest.raises(RobotError, match=r"another program controls|no control of"):
-            Ur7e(rig, Robotiq(machine.address)).connect()
-        assert machine.controller.uploads == 1
-        assert machine.controller.program is not None
-        robot.servo(robot.state().q, 0.1)
-
-
-def test_payload_and_tcp_are_set_and_verified(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
-    with robot:
-        assert rig.controller is not None
-        assert machine.controller.payload == rig.controller.payload
-        assert machine.controller.tcp[2] == rig.gripper.tip_offset
-
-
-def test_a_controller_that_keeps_another_tcp_is_not_driven(
-    machine: Emulator, robot: Ur7e, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(
-        type(machine.controller), "tcp", property(lambda c: (0.0,) * 6, lambda c, v: None), raising=False
-    )
-    with pytest.raises(RobotError, match="TCP"):
-        robot.connect()
-    assert machine.controller.wire == []
-
-
-def test_a_controller_that_keeps_another_payload_is_not_driven(
-    machine: Emulator, robot: Ur7e, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(type(machine.controller), "payload", property(lambda c: 0.3, lambda c, v: None), raising=False)
-    with pytest.raises(RobotError, match=r"payload \[0\.3, .* instead of \[1\.2"):
-        robot.connect()
-    assert machine.controller.wire == []
-    assert wait_for(lambda: machine.controller.program is None)
-
-
 @pytest.mark.parametrize(("fault", "word"), [("gripper-silent", "emergency stop"), ("gripper-fault", "current is too")])
 def test_a_gripper_in_trouble_ends_the_motion(machine: Emulator, robot: Ur7e, rig: Rig, fault: str, word: str) -> None:
     with robot:
         error = during_motion(robot, rig, lambda: machine.call(lambda: FAULTS[fault](machine)))
         assert word in str(error)
         assert wait_for(lambda: is_still(machine)), "it brakes along the way that was sent with the last setpoints"
-
-
-@pytest.mark.parametrize(("slider", "mode", "fraction"), [(0.5, 1, 0.5), (1.0, 2, 0.5), (0.25, 1, 0.25)])
-def test_the_slider_and_reduced_mode_stretch_the_plan(
-    machine: Emulator, robot: Ur7e, rig: Rig, slider: float, mode: int, fraction: float
-) -> None:
-    machine.call(lambda: setattr(machine.controller, "slider", slider))
-    machine.call(lambda: machine.controller.set_safety(SafetyMode(mode)))
-    with robot:
-        assert robot.speed_fraction == pytest.approx(fraction)
-        stream = Stream(robot, rig)
-        wire = machine.controller.wire
-        assert wire is not None
-        wire.clear()
-        for k in range(5):
-            q = rig.arm.home.copy()
-            q[0] += 0.004 * (k + 1)
-            stream.run(JointTarget(q, 0.1), 0.02)
-        stream.stop()
-        assert wait_for(lambda: len(wire) >= 5 * round(0.02 / fraction / 0.002))
-
-
-def test_a_slider_at_zero_is_named(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
-    machine.call(lambda: setattr(machine.controller, "slider", 0.0))
-    with robot, pytest.raises(RobotError, match="slider"):
-        Stream(robot, rig).run(JointTarget(rig.arm.home, 0.1), 0.02)
 
 
 def test_too_much_force_stops_the_stream(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
@@ -418,16 +253,3 @@ def test_too_much_force_stops_the_stream(machine: Emulator, robot: Ur7e, rig: Ri
             swing(stream, rig, 2.0, begin=0.2)
         assert caught.value.quantity == "force"
         assert wait_for(lambda: is_still(machine))
-
-
-def test_nobody_there_is_one_sentence(rig: Rig) -> None:
-    nowhere = emulators.rig_at(emulators.address())
-    with pytest.raises(RobotError, match="no controller at"):
-        Ur7e(nowhere, Robotiq("127.0.0.250")).connect()
-
-
-def test_the_controllers_remote_check_sees_local_mode() -> None:
-    with emulators.emulated(ControllerSettings(remote=False)) as machine:
-        with pytest.raises(RobotError, match="local control"):
-            Ur7e(emulators.rig_at(machine.address), Robotiq(machine.address)).connect()
-        assert machine.controller.uploads == 0

@@ -1,0 +1,113 @@
+"""Plan_f with what it cannot be sure of: distrust after a failure, and atoms that hold perhaps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.doubt import DoubtingAbstraction
+from resync_robot.planning.execute import Affordance, End, ExecuteSettings, Model, plan_f
+from tests.planning.kitchen import (
+    CLEAN,
+    FILL,
+    FULL,
+    GOAL,
+    OPEN,
+    UNLID,
+    WIPE,
+    A,
+    B,
+    Kitchen,
+    Notes,
+    kitchen,
+    model,
+    nothing,
+    setting,
+)
+
+AFFORDANCES = {"Fill": Affordance("Clean", 0)}
+
+
+def test_after_a_failure_the_atom_it_relied_on_is_distrusted_until_restored() -> None:
+    # The cup looks clean and is not: filling fails until it was wiped.
+    world, notes, wiped = kitchen(open="a", clean="a"), Notes(), []
+
+    def wipe(cup: Object) -> Callable[[State], State]:
+        wiped.append(cup)
+        return nothing(cup)
+
+    def fill(cup: Object) -> Callable[[State], State]:
+        return setting("full")(cup) if wiped else nothing(cup)
+
+    done = Outcome(Ending.DONE)
+    blind = model(world, Fill=(fill, done), Wipe=(wipe, done))
+    assert plan_f(world, blind, GOAL, ExecuteSettings(max_failures=2)).end is End.STUCK
+    wary = model(world, Fill=(fill, done), Wipe=(wipe, done), affordances=AFFORDANCES)
+    result = plan_f(world, wary, GOAL, ExecuteSettings(max_failures=2), notes)
+    assert result.success
+    assert notes.plans == ["Fill(a)", "Wipe(a), Fill(a)"]
+    assert notes.seen[-1][CLEAN(A)] == 1.0
+
+
+def test_distrust_concerns_the_object_that_failed_only() -> None:
+    world, notes = kitchen(open="ab", clean="ab"), Notes()
+
+    def only_b(cup: Object) -> Callable[[State], State]:
+        return setting("full")(cup) if cup == B else nothing(cup)
+
+    goal = frozenset({FULL(A), FULL(B)})
+    fills = model(world, Fill=(only_b, Outcome(Ending.DONE)), affordances=AFFORDANCES)
+    plan_f(world, fills, goal, ExecuteSettings(max_failures=2), notes)
+    assert not any("Wipe(b)" in plan for plan in notes.plans)
+    assert any("Wipe(a)" in plan for plan in notes.plans)
+
+
+def test_doubt_that_leaves_no_plan_is_dropped_and_the_skill_tried_again() -> None:
+    world, notes, tries = kitchen(open="a", clean="a"), Notes(), []
+
+    def fills_the_second_time(cup: Object) -> Callable[[State], State]:
+        tries.append(1)
+        return setting("full")(cup) if len(tries) > 1 else nothing(cup)
+
+    fills = (fills_the_second_time, Outcome(Ending.DONE))
+    without_wiping = model(world, Fill=fills, operators=(UNLID, FILL), affordances=AFFORDANCES)
+    result = plan_f(world, without_wiping, GOAL, listener=notes)
+    assert result.success
+    assert notes.reasons == ["start", "nothing else is left to try than to believe what is most likely"]
+
+
+@dataclass
+class Murky(Kitchen):
+    """A kitchen in which nobody sees well how clean the first cup is."""
+
+    def perceive(self) -> State:
+        seen = self.state.with_features(A, clean=0.6 if self.state.get(A, "full")[0] < 0.5 else 1.0)
+        return State({cup: seen[cup] for cup in seen}, {A: np.diag([0.0, 0.0, 0.25**2])})
+
+
+def test_where_doubt_leaves_no_plan_the_likelier_atoms_are_planned_with() -> None:
+    world, notes = Murky(kitchen(open="a").state), Notes()
+    sure = model(world, operators=(UNLID, FILL))
+    doubting = DoubtingAbstraction(sure.abstraction)
+    assert CLEAN(A) in doubting.doubtful(world.perceive())
+    unsure = Model(sure.skills, doubting, sure.operators)
+    result = plan_f(world, unsure, GOAL, listener=notes)
+    assert result.success and result.reason == ""
+    assert notes.reasons == ["nothing else is left to try than to believe what is most likely"]
+    # Where something can be done about it, that comes first.
+    wiping, notes = Model(sure.skills, doubting, (UNLID, FILL, WIPE)), Notes()
+    plan_f(Murky(kitchen(open="a").state), wiping, GOAL, ExecuteSettings(max_skills=1), notes)
+    assert notes.plans[0] == "Wipe(a), Fill(a)"
+
+
+def test_a_likely_goal_that_nothing_can_make_surer_says_so() -> None:
+    world = Murky(kitchen().state)
+    result = plan_f(world, Model({}, DoubtingAbstraction(model(world).abstraction), ()), frozenset({CLEAN(A)}))
+    assert result.success and "not all of it is certain" in result.reason
+    result = plan_f(world, Model({}, DoubtingAbstraction(model(world).abstraction), ()), frozenset({OPEN(A)}))
+    assert result.end is End.NO_PLAN
