@@ -331,5 +331,8 @@ class Stream:
         return self._robot.state().time
 
     def _command(self, requested: JointTarget) -> Command:
-        sent = JointTarget(self._guard.last_sent, self._guard.last_opening)
+        if self._realtime is not None:
+            sent = self._realtime.last_sent()
+        else:
+            sent = JointTarget(self._guard.last_sent, self._guard.last_opening)
         return Command(self._clock(), requested, sent)

@@ -26,6 +26,7 @@ from hardware.dashboard import OTHER_SAFETY, Dashboard
 from hardware.ur_memory import LONGEST_STOP, RING, STOPS, Fault, LinkMemory
 from hardware.ur_process import LinkProcess
 from hardware.ur_rig import obstacles_to_json, rig_to_json
+from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import ControllerRig, Rig
 
 _log = logging.getLogger(__name__)
@@ -123,6 +124,13 @@ class Ur7e(Connected):
         w = self._require_link().words
         sent = int(w["sent"])
         return w["sent_at"][np.arange(max(0, sent - RING), sent) % RING]
+
+    def last_sent(self) -> JointTarget:
+        """See `RealtimeRobot`."""
+        memory = self._require_link()
+        sent = int(memory.words["sent"])
+        q = memory.words["wire"][(sent - 1) % RING] if sent else memory.snapshot()["q"]
+        return JointTarget(q.copy(), self._opening)
 
     def due(self) -> float:
         """See `RealtimeRobot`."""

@@ -147,7 +147,8 @@ class Link:
             q = self._yielded(self._next_setpoint())
             if q is not None:
                 kick = due + KICK_S
-                w["sent_at"][int(w["sent"]) % RING] = time.monotonic()
+                row = int(w["sent"]) % RING
+                w["wire"][row], w["sent_at"][row] = q, time.monotonic()
                 w["sent"] += 1
                 if not self.control.servoJ(q.tolist(), 0.0, 0.0, PERIOD, LOOKAHEAD, GAIN):
                     return Fault.STOPPED if self.receive.isConnected() else Fault.LINK_LOST

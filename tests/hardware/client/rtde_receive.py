@@ -27,7 +27,7 @@ class RTDEReceiveInterface:
         return [0.0] * 6
 
     def getActualTCPForce(self) -> list[float]:
-        return [0.0] * 6
+        return told.get("force", [0.0] * 6)
 
     def getRobotMode(self) -> int:
         return 7
