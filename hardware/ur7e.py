@@ -115,8 +115,9 @@ class Ur7e(Connected):
     def speed_fraction(self) -> float:
         """See `RealtimeRobot`."""
         fraction = float(self._require_link().snapshot()["speed_fraction"])
-        if fraction < 0.01:
-            raise RobotError("the speed slider stands at zero", "raise it on the teach pendant")
+        # What is not a number is no speed either.
+        if not fraction >= 0.01:
+            raise RobotError(f"the speed slider stands at {fraction:.2g}", "raise it on the teach pendant")
         return min(fraction, 1.0)
 
     def sent_at(self) -> Float[np.ndarray, " n"]:

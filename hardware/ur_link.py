@@ -12,6 +12,7 @@ It reads its settings as one line of JSON on standard input, and ends when that 
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import threading
@@ -120,7 +121,7 @@ class Link:
         now, r = self._now, self.receive
         host = time.monotonic()
         stamp = r.getTimestamp()
-        if stamp != now["time"]:
+        if stamp != now["time"] and math.isfinite(stamp):
             now["time"], now["heard"] = stamp, host
             now["q"], now["qd"], now["force"] = r.getActualQ(), r.getActualQd(), r.getActualTCPForce()
             now["robot_mode"], now["safety_mode"] = r.getRobotMode(), r.getSafetyMode()
@@ -275,6 +276,8 @@ def main() -> None:
     try:
         threading.Thread(target=link.watch_driver, daemon=True).start()
         say(ready=True)
+        # Nobody reads on: what the client's library prints from here on must not fill the pipe, and hold up the loop.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         leave(serve(link, memory))
     except Exception:
         traceback.print_exc()
