@@ -44,7 +44,7 @@ class Preset:
 
     tasks: int = 10
     """N, the training tasks that are tried first."""
-    failures: int = 128
+    failures: int = 256
     """Size of the mined set D^F."""
     ppo: PpoSettings = field(default_factory=PpoSettings)
     proxy_checks: int = 24
@@ -109,7 +109,7 @@ class Mined:
 
 def _try(context: Context, job: tuple[str, int]) -> Attempt | None:
     scenario, seed = job
-    task = context.domain.scenario(scenario).sample(np.random.default_rng(seed), seed)
+    task = context.domain.scenario(scenario).sample_practice(np.random.default_rng(seed), seed)
     return attempt_task(task, context.model, context.rig)
 
 
@@ -287,7 +287,7 @@ def _relative(x: np.ndarray, mined: Mined) -> np.ndarray:
 def _check(context: Context, job: tuple[Mined, int]) -> tuple[bool, bool] | None:
     """Recovery, then the skill that failed: (done as far as beta says, the failed skill's effects came true)."""
     mined, seed = job
-    task = context.domain.scenario(mined.scenario).sample(np.random.default_rng(seed), seed)
+    task = context.domain.scenario(mined.scenario).sample_practice(np.random.default_rng(seed), seed)
     world = SimWorld(task, context.rig)
     if not is_at_rest(world):
         return None

@@ -91,5 +91,5 @@ def attempt_task(task: Task, model: Model, rig: Rig) -> Attempt | None:
 def resample_failure(domain: Domain, scenario: str, relevant: Object, gaussian: PairGaussian, seed: int) -> Task:
     """A new initial state with the relevant object and the failure object in a relative pose from the Gaussian."""
     rng = np.random.default_rng(seed)
-    task = domain.scenario(scenario).sample(rng, seed)
+    task = domain.scenario(scenario).sample_practice(rng, seed)
     return domain.relocate(task, relevant, gaussian.sample(rng), rng)

@@ -20,28 +20,34 @@ class Ranges:
     """From where physics and looks are drawn.
 
     Attributes:
+        edges: draw near the edges more often than between them (the arcsine law): there it is hard, and from there on
+            nothing was ever tried.
         beyond: 0 draws between the edges that are written at each quantity. Above, it draws outside them on either
             side, up to this share of the edge: worlds like none in training.
         surfaces: kinds of surfaces of table and box; none: they are plain.
         light_gain: factors on the strength of lights.
     """
 
+    edges: bool = False
     beyond: float = 0.0
     surfaces: tuple[str, ...] = ()
     light_gain: tuple[float, float] = (1.0, 1.0)
 
     def draw(self, rng: np.random.Generator, low: float, high: float) -> float:
         """One value between the edges, or outside them."""
-        value = float(rng.uniform(low, high))
+        # Always from one uniform draw, so that a world keeps all else whatever the ranges.
+        share = float(rng.uniform())
+        if self.edges:
+            share = float(np.sin(np.pi / 2 * share) ** 2)
         if self.beyond == 0.0:
-            return value
-        share = (value - low) / (high - low)
-        # The same draw, sent to one side or the other, so that a world keeps all else.
+            return low + share * (high - low)
         return low * (1 - self.beyond * (1 - 2 * share)) if share < 0.5 else high * (1 + self.beyond * (2 * share - 1))
 
 
 USUAL = Ranges()
-PICTURED = Ranges(surfaces=textures.TRAINED, light_gain=(0.8, 1.2))
+PRACTICE = Ranges(edges=True)
+"""What training draws."""
+PICTURED = Ranges(edges=True, surfaces=textures.TRAINED, light_gain=(0.8, 1.2))
 """What camera policies learn from."""
 UNSEEN = Ranges(beyond=0.10, surfaces=textures.UNSEEN, light_gain=(0.7, 1.3))
 """Up to a tenth beyond the edges of training, with surfaces and lights that it never drew."""

@@ -29,7 +29,8 @@ class Scenario:
     """A family of tasks. `training` scenarios elicit the failure; the others test generalisation.
 
     Attributes:
-        sample: (rng, seed) -> a task with physics and looks as training draws them.
+        sample: (rng, seed) -> a task with physics, sizes and looks between the edges of training.
+        sample_practice: the same, at the edges more often: what training draws.
         sample_unseen: the same, with physics, sizes and looks that training never draws.
     """
 
@@ -37,6 +38,7 @@ class Scenario:
     description: str
     goal: Callable[[Domain], Atoms]
     sample: Callable[[np.random.Generator, int], Task]
+    sample_practice: Callable[[np.random.Generator, int], Task]
     sample_unseen: Callable[[np.random.Generator, int], Task]
     training: bool = False
 

@@ -18,7 +18,7 @@ from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.learning.failures import place_relative, relative_pose
 from sim_training.domains.layouts import THE_BOX, Layout, block_features, sample_task
 from sim_training.parts import CLEARANCE
-from sim_training.randomise import UNSEEN, USUAL, Ranges
+from sim_training.randomise import PRACTICE, UNSEEN, USUAL, Ranges
 
 HAND_EMPTY = Predicate("HandEmpty", (ROBOT,))
 HOLDING = Predicate("Holding", (ROBOT, BLOCK))
@@ -74,7 +74,7 @@ def relocate(task: Task, block: Object, relative: tuple[float, float, float], rn
 def dream_task(rng: np.random.Generator, seed: int, blocks: int) -> Task:
     """On(b0, b1) with every block free on the table, so that any of them can be moved into the box."""
     names = tuple(f"b{i}" for i in range(blocks))
-    return sample_task(rng, seed, frozenset({ON(BLOCK("b0"), BLOCK("b1"))}), Layout(free=names, in_box=0.0))
+    return sample_task(rng, seed, frozenset({ON(BLOCK("b0"), BLOCK("b1"))}), Layout(free=names, in_box=0.0), PRACTICE)
 
 
 COVERED = 0.2
@@ -152,7 +152,7 @@ def _scenario(
     def sample(ranges: Ranges) -> Callable[[np.random.Generator, int], Task]:
         return lambda rng, seed: sample_task(rng, seed, atoms, layouts[int(rng.integers(len(layouts)))], ranges)
 
-    return Scenario(name, description, lambda _domain: atoms, sample(USUAL), sample(UNSEEN), training)
+    return Scenario(name, description, lambda _domain: atoms, sample(USUAL), sample(PRACTICE), sample(UNSEEN), training)
 
 
 SCENARIOS = (

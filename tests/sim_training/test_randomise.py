@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim_training import textures
-from sim_training.randomise import BLOCK_HUES, PICTURED, UNSEEN, USUAL, draw_physics
+from sim_training.randomise import BLOCK_HUES, PICTURED, PRACTICE, UNSEEN, USUAL, draw_physics
 
 NAMES = ("b0", "b1", "b2", "b3")
 
@@ -48,6 +48,17 @@ def test_usual_draws_lie_between_the_edges_and_unseen_ones_never_do(seed: int, l
     assert low <= USUAL.draw(np.random.default_rng(seed), low, high) <= high
     outside = UNSEEN.draw(np.random.default_rng(seed), low, high)
     assert 0.9 * low - 1e-9 <= outside <= low + 1e-9 or high - 1e-9 <= outside <= 1.1 * high + 1e-9
+
+
+def test_practice_draws_between_the_same_edges_and_near_them_more_often() -> None:
+    usual, practice = (
+        np.array([r.draw(np.random.default_rng(seed), 2.0, 3.0) for seed in range(400)]) for r in (USUAL, PRACTICE)
+    )
+    assert practice.min() >= 2.0 and practice.max() <= 3.0
+    # One draw each, so that the same seed keeps its order among all.
+    np.testing.assert_array_equal(np.argsort(usual), np.argsort(practice))
+    near = [np.mean((drawn < 2.1) | (drawn > 2.9)) for drawn in (usual, practice)]
+    assert near[0] == pytest.approx(0.2, abs=0.06) and near[1] == pytest.approx(0.41, abs=0.06)
 
 
 def test_unseen_surfaces_are_of_kinds_that_training_never_draws() -> None:
