@@ -25,13 +25,13 @@ from sim_training.demos.rollouts import try_student
 from sim_training.demos.starts import draw_start
 from sim_training.domains import find_domain
 from sim_training.parallel import parallel_map
-from sim_training.randomise import PICTURED, UNSEEN, USUAL
+from sim_training.randomise import PICTURED, PRACTICE, UNSEEN
 from sim_training.recovery import RecoverySettings
 
 WHOLE = DistilPlan(worlds=320, rounds=1, round_worlds=160, steps=1800, round_steps=1000)
 VARIANTS = {
     "whole": WHOLE,
-    "plain-looks": replace(WHOLE, looks=USUAL),
+    "plain-looks": replace(WHOLE, looks=PRACTICE),
     "no-rounds": replace(WHOLE, worlds=480, rounds=0, steps=2800),
     "wrist-only": replace(WHOLE, blind=("front", "side")),
     "recorded-is-not-executed": replace(WHOLE, unrecorded_noise=0.008),
