@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from policies.cartesian import Blocked, Hand, Motion, run_motion
+from policies.footing import Footing, press_on
 from policies.grasp import travel_height
 from policies.neural import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
 from resync_robot.core.joints import JointTarget
@@ -149,15 +150,16 @@ def _drive(
     """Steps until the policy says that it is done. Returns whether it did. Raises Stopped."""
     watch, scanned = Watch(m, rig), Scanned.of(hand.last.state, *objects[1:])
     chunks, thinking = Chunks(), _Thinking(policy, thread)
-    done_in_a_row = 0
+    footing, done_in_a_row = Footing(), 0
     for _ in range(s.max_decisions):
         goal = _reach(hand, objects, hand.position + from_hand(watch.step(chunks.next()), hand.yaw))
         if chunks.wanting and not thinking.busy:
             thinking.ask(*_observe(hand, goal, scanned, rig, policy.picture, watch))
-        begin = hand.position.copy()
-        for i in range(1, DECISION_STEPS + 1):
-            hand.position = begin + (goal - begin) * i / DECISION_STEPS
-            hand.last = yield hand.target()
+        if not (yield from press_on(hand, goal, DECISION_STEPS, footing)):
+            # What was wanted, and what is being thought, is of a block that stood.
+            thinking.answer(wait=True)
+            chunks = Chunks()
+            continue
         answer = thinking.answer(wait=not hand.last.realtime or not chunks.left)
         if answer is not None:
             prediction, late = answer
@@ -166,7 +168,7 @@ def _drive(
             done_in_a_row = done_in_a_row + 1 if says_done(prediction)[0] else 0
             if done_in_a_row >= DONE_IN_A_ROW:
                 return True
-        watch.motion(rig.tip_pose(hand.last.arm)[:3, 3])
+        watch.motion(hand.tip())
     return False
 
 

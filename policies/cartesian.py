@@ -21,6 +21,8 @@ YAW_SPEED = 1.2
 """rad/s of the hand about the vertical."""
 LAG_S = 0.12
 """s that an arm may be behind its targets: smoothing to its jerk limit, and the controller's own look-ahead."""
+GIVE_IN_STEP = 0.012
+"""m between two targets on the way back from where the hand could not get."""
 FINGER_SPEED = 0.12
 """m/s of opening or closing."""
 
@@ -119,7 +121,7 @@ class Hand:
     def settle(self, at_rest: np.ndarray, max_force: float, seconds: float = 0.4) -> Step:
         """Wait until the tip stands within 1 mm of where it was sent, or for `seconds`."""
         for _ in range(int(seconds / self.period)):
-            if np.linalg.norm(self._tip() - self.position) < 0.001:
+            if np.linalg.norm(self.tip() - self.position) < 0.001:
                 return
             self.last = yield self.target()
             self._guard(at_rest, max_force)
@@ -129,9 +131,17 @@ class Hand:
         if self.position[2] < z - 0.002:
             yield from self.move(self.position[0], self.position[1], z, self.yaw, speed)
 
+    def give_in(self) -> Step:
+        """Send the tip to where it stands; at once would be a jump where it was sent far into something."""
+        begin, tip = self.position.copy(), self.tip()
+        steps = int(np.ceil(np.linalg.norm(tip - begin) / GIVE_IN_STEP))
+        for i in range(1, steps + 1):
+            self.position = begin + (tip - begin) * i / steps
+            self.last = yield self.target()
+
     def back_off(self, z: float, speed: float) -> Step:
         """Up and away after a guard; whatever still touches on the way is left to the world."""
-        self.position = self._tip()
+        yield from self.give_in()
         stray, self.stray = self.stray, np.inf
         yield from self.retreat(z, speed)
         self.stray = stray
@@ -157,11 +167,11 @@ class Hand:
             before = self.last.opening
             self.last = yield self.target()
 
-    def _tip(self) -> np.ndarray:
+    def tip(self) -> np.ndarray:
         return self.rig.tip_pose(self.last.arm)[:3, 3].copy()
 
     def _guard(self, at_rest: np.ndarray, max_force: float, behind: float = 0.0) -> None:
-        away = float(np.linalg.norm(self._tip() - self.position))
+        away = float(np.linalg.norm(self.tip() - self.position))
         if away > self.stray + behind:
             raise Blocked(f"the tip is held {1000 * away:.0f} mm from where it was sent")
         force = float(np.linalg.norm(self.last.tip_force - at_rest))

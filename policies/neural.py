@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from policies.cartesian import Blocked, Hand, Motion, run_motion
+from policies.footing import Footing, press_on
 from policies.grasp import travel_height
 from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
@@ -85,7 +86,7 @@ def _recover(
         refused = yield from approach(hand, first.state, block, box, above, s)
         if refused is not None:
             return refused
-        finished = False
+        finished, footing = False, Footing()
         for _ in range(s.max_decisions):
             projected = project(hand.last.state, robot, block, box, hand.position)
             with torch.no_grad():
@@ -94,10 +95,7 @@ def _recover(
                     finished = True
                     break
                 goal = commanded_tip(projected, act(seen))[0].double().numpy()
-            begin = hand.position.copy()
-            for i in range(1, DECISION_STEPS + 1):
-                hand.position = begin + (goal - begin) * i / DECISION_STEPS
-                hand.last = yield hand.target()
+            yield from press_on(hand, goal, DECISION_STEPS, footing)
         yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
     except Blocked as blocked:
         return Outcome(Ending.BLOCKED, str(blocked))

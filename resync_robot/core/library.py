@@ -6,7 +6,7 @@
       predicates/NAME.json  signature, form, effects;  NAME.safetensors  classifier weights
       skills/NAME.json      signature, settings;       NAME.safetensors  policy and terminal weights
       policies/NAME/        the skill's camera policy, where one was trained: a LeRobot checkpoint, as LeRobot wrote it
-      execution.json        which learned atom each skill relies on, and other names of skills
+      execution.json        the learned atom that each skill relies on, other names of skills, how practice went
       gaussians.json        pair Gaussians of failures and recoveries
       provenance.json       git hash, seeds, versions, figures, durations
 

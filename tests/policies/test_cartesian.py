@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from policies.cartesian import Blocked, Hand, run_motion
+from policies.cartesian import GIVE_IN_STEP, Blocked, Hand, run_motion
 from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import Ending, Outcome
@@ -131,6 +131,17 @@ def test_backing_off_ignores_what_holds_the_tip() -> None:
     hand = hand_of(world, stray=0.001)
     follow(world, hand, hand.back_off(hand.position[2] + 0.05, 0.1))
     assert hand.stray == 0.001
+
+
+def test_a_hand_that_was_sent_far_into_something_comes_back_without_a_jump() -> None:
+    world = Follower(SCENE, stuck=True)
+    hand = hand_of(world)
+    tip = hand.position.copy()
+    hand.position = tip - [0.0, 0.0, 0.05]
+    sent = [RIG.tip_pose(t.arm)[:3, 3] for t in follow(world, hand, hand.give_in())]
+    assert np.abs(np.diff([tip - [0.0, 0.0, 0.05], *sent], axis=0)).max() <= GIVE_IN_STEP + 1e-6
+    np.testing.assert_allclose(sent[-1], tip, atol=1e-6)
+    assert follow(world, hand, hand.give_in()) == [], "it is there already"
 
 
 def test_what_no_configuration_reaches_ends_as_unreachable() -> None:
