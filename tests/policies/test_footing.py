@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -28,12 +29,14 @@ class Top(Follower):
 
     steep: float = 0.0
     dragged: float = 0.0
+    longest: float = 0.0
 
     def act(self, target: JointTarget, duration: float) -> None:
         before = self.rig.tip_pose(self.arm)[0, 3]
         tip = self.rig.tip_pose(target.arm).copy()
         pressed = tip[2, 3] < FLOOR
         self.dragged = self.dragged + abs(tip[0, 3] - before) if pressed else 0.0
+        self.longest = max(self.longest, self.dragged)
         tip[2, 3] = max(tip[2, 3], FLOOR + self.steep * self.dragged)
         flange = spatial.inverse(self.rig.arm.world_T_base) @ tip @ spatial.inverse(self.rig.gripper.flange_T_tip)
         arm = kinematics.inverse_along(flange, self.arm, kinematics.branch_of(self.arm))
@@ -65,18 +68,18 @@ def test_a_block_that_slides_is_dragged_on() -> None:
     whole, world = drag(steep=0.0)
     assert all(whole)
     assert max(tip[2] for tip in world.tips[-60:]) == pytest.approx(FLOOR, abs=1e-5)
-    assert world.dragged == pytest.approx(0.12, abs=0.002)
+    assert world.longest == pytest.approx(0.12, abs=0.002)
 
 
 def test_a_block_that_leans_is_let_go_and_pressed_again() -> None:
     whole, world = drag(steep=0.4)
     # 2 mm at a steepness of 0.4 are 5 mm of way. From where it let go the hand needs a step to come down again.
-    assert not any(a and b for a, b in zip(whole, whole[1:], strict=False)) and whole.count(False) >= 5
+    assert not any(a and b for a, b in pairwise(whole)) and whole.count(False) >= 5
     heights = np.array([tip[2] for tip in world.tips])
-    assert world.dragged == 0.0, "it stands again"
-    assert heights[-1] == pytest.approx(FLOOR + RISE + LET_GO_RISE, abs=0.002)
-    # Down again and again in between.
-    assert np.sum((heights[:-1] > FLOOR + 0.005) & (heights[1:] <= FLOOR + 0.005)) > 4
+    ups = heights[1:][(heights[:-1] < FLOOR + RISE + LET_GO_RISE - 0.005) & (np.diff(heights) > 0)]
+    assert ups.max() == pytest.approx(FLOOR + RISE + LET_GO_RISE, abs=0.006)
+    # Never dragged on for longer than it takes to feel it.
+    assert world.longest < 0.016
 
 
 @given(st.lists(st.tuples(HEIGHTS, HEIGHTS), max_size=40), HEIGHTS)
