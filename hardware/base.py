@@ -142,11 +142,10 @@ class Robot(Device, Protocol):
 class RealtimeRobot(Robot, Protocol):
     """An arm whose clock does not wait for setpoints: a real one, or a simulation of a real one's controller."""
 
-    @property
     def speed_fraction(self) -> float:
         """Share of full speed that the controller allows now (slider, reduced mode): 0 < fraction <= 1.
 
-        Raises RobotError when the slider stands at zero.
+        No property: up to Python 3.11 `isinstance` reads those. Raises RobotError when the slider stands at zero.
         """
         ...
 

@@ -157,7 +157,7 @@ class Stream:
             RobotError: the robot stopped, or does not answer.
         """
         asked, begin = self._clock(), time.perf_counter()
-        fraction = self._pace if self._realtime is None else self._pace * self._realtime.speed_fraction
+        fraction = self._pace if self._realtime is None else self._pace * self._realtime.speed_fraction()
         count = self._count(duration, fraction)
         for _ in range(MAX_LATENESS):
             try:

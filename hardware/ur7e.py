@@ -111,7 +111,6 @@ class Ur7e(Connected):
         opening = self.gripper.state().opening
         return RobotState(float(now["time"]), now["q"].copy(), now["qd"].copy(), force, opening)
 
-    @property
     def speed_fraction(self) -> float:
         """See `RealtimeRobot`."""
         fraction = float(self._require_link().snapshot()["speed_fraction"])

@@ -76,8 +76,6 @@ class PressingRobot(SimRobot):
 class StiffRobot(PressingRobot):
     """Its clock does not wait for setpoints, as far as the stream can tell, and it caps nothing."""
 
-    speed_fraction = 1.0
-
     def __init__(self, world: SimWorld, rig: Rig, delay: float) -> None:
         super().__init__(world, rig, delay)
         self._obstacles: tuple[Obstacle, ...] = ()
@@ -90,6 +88,9 @@ class StiffRobot(PressingRobot):
 
     def cap(self, limit: tuple[float, ...] | None) -> None:
         pass
+
+    def speed_fraction(self) -> float:
+        return 1.0
 
     def due(self) -> float:
         return self.state().time

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import Command, Connected, GripperState, RobotError, StaleError
+from hardware.base import Command, Connected, GripperState, RealtimeRobot, RobotError, StaleError
 from hardware.stream import PIECE, Stream
 from hardware.ur7e import Ur7e
 from hardware.ur_memory import SNAPSHOT, LinkMemory
@@ -173,9 +173,13 @@ def test_a_time_that_is_no_number_is_silence(lab: Lab) -> None:
             stream.run(turned(rig, 0.05), 0.1)
 
 
-def test_a_speed_that_is_no_number_is_not_moved_at(lab: Lab) -> None:
-    with pytest.raises(RobotError, match="slider stands at nan"):
-        Stream(lab.connect("no fraction"), lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 0.1)
+@pytest.mark.parametrize(("fault", "says"), [("no fraction", "nan"), ("no speed", "0")])
+def test_a_speed_that_is_none_is_not_moved_at_and_hinders_nothing_else(lab: Lab, fault: str, says: str) -> None:
+    driver = lab.connect(fault)
+    assert isinstance(driver, RealtimeRobot)
+    stream = Stream(driver, lab.rig(5.0))
+    with pytest.raises(RobotError, match=f"slider stands at {says}\n"):
+        stream.run(turned(lab.rig(5.0), 0.05), 0.1)
     assert lab.wire() == []
 
 
