@@ -147,12 +147,12 @@ class Link:
                 return fault
             q = self._yielded(self._next_setpoint())
             if q is not None:
-                kick = due + KICK_S
-                row = int(w["sent"]) % RING
-                w["wire"][row], w["sent_at"][row] = q, time.monotonic()
-                w["sent"] += 1
+                kick, at = due + KICK_S, time.monotonic()
                 if not self.control.servoJ(q.tolist(), 0.0, 0.0, PERIOD, LOOKAHEAD, GAIN):
                     return Fault.STOPPED if self.receive.isConnected() else Fault.LINK_LOST
+                row = int(w["sent"]) % RING
+                w["wire"][row], w["sent_at"][row] = q, at
+                w["sent"] += 1
             elif self._driver_gone.is_set() or w["finish"]:
                 return Fault.DRIVER_GONE
             elif due >= kick:
@@ -227,13 +227,11 @@ class Link:
         return q
 
     def _way_to_rest(self, read: int, epoch: int) -> np.ndarray | None:
+        """Once only: while it is under way the link is an epoch ahead of every slot."""
         for i in range(STOPS):
             slot = self._words["stops"][i]
             if slot["epoch"] == epoch and slot["after"] == read and slot["count"]:
-                way = slot["q"][: int(slot["count"])].copy()
-                # Once only: `read` stays where it is while the arm rests.
-                slot["count"] = 0
-                return way
+                return slot["q"][: int(slot["count"])].copy()
         return None
 
     def learn_why(self) -> None:

@@ -145,12 +145,31 @@ def test_what_is_recorded_as_sent_is_what_went_out_then(lab: Lab) -> None:
     assert len(moving) > 5 and len(set(moving)) > 0.4 * len(moving), "not once for each piece of the way"
 
 
+def test_a_setpoint_that_the_client_refuses_is_not_recorded_as_sent(lab: Lab) -> None:
+    driver = lab.connect("refuse")
+    with pytest.raises(RobotError, match="control program was stopped"):
+        Stream(driver, lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 1.0)
+    assert len(driver.sent_at()) == len(lab.wire())
+    np.testing.assert_array_equal(driver.last_sent().arm, lab.wire()[-1])
+
+
 def test_of_an_arm_that_yields_is_recorded_where_it_was_sent_not_where_it_was_asked_to_be(lab: Lab) -> None:
     goal = turned(lab.rig(5.0), 0.0)
     commands = recorded(lab, lab.connect("press"), (20.0, 20.0, 20.0, 6.0, 6.0, 6.0), goal)
     assert_recorded_as_sent(lab, commands)
     np.testing.assert_array_equal([c.requested.arm for c in commands], [goal.arm] * len(commands))
     assert np.abs(commands[-1].sent.arm - goal.arm).max() > 0.02
+
+
+def test_a_way_to_rest_is_taken_once_and_stays_the_drivers_own(lab: Lab) -> None:
+    driver, q = lab.connect(), lab.rig(5.0).arm.home
+    words, way = driver._require_link().words, np.tile(q, (30, 1))
+    driver.play(np.tile(q, (10, 1)), np.full(10, 0.1), way)
+    written = words["stops"].tobytes()
+    assert wait_for(lambda: bool(words["resting"]))
+    time.sleep(0.1)
+    assert words["stops"].tobytes() == written
+    assert len(lab.wire()) == 40
 
 
 def test_a_link_that_crashes_has_its_program_stopped(lab: Lab) -> None:

@@ -57,6 +57,8 @@ class RTDEControlInterface:
             told["stopped"] = True
         if self._count > GOOD and FAULT == "no time":
             told["time"] = float("nan")
+        if self._count > GOOD and FAULT == "refuse":
+            return False
         if FAULT == "chatter":
             os.write(1, b"x" * 4095 + b"\n")
         if self._count > GOOD and FAULT == "press":
