@@ -6,15 +6,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from hardware.clearance import Obstacle
 from resync_robot.core.errors import MotionError, ResyncError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.world import CameraFrame, Cutout, Window
+
+if TYPE_CHECKING:
+    from hardware.room import Room
 
 SERVO_PERIOD = 0.002
 """Seconds between two setpoints: the controller's tick of 500 Hz."""
@@ -149,8 +151,8 @@ class RealtimeRobot(Robot, Protocol):
         """
         ...
 
-    def keep_out(self, *obstacles: Obstacle) -> None:
-        """Let nothing but the hand come near these where the arm yields, from the next effort limit on."""
+    def stay_in(self, room: Room) -> None:
+        """Yield within this room, as it is when an effort limit is set; its guard's, which may still change it."""
         ...
 
     def due(self) -> float:

@@ -52,6 +52,8 @@ class Guard:
         )
         self._controller = rig.controller
         self._room = Room(rig, table_z, margin)
+        if self._realtime is not None:
+            self._realtime.stay_in(self._room)
         self._past = np.zeros((3, 6))
         self._opening = 0.0
         self.start()
@@ -68,8 +70,6 @@ class Guard:
     def keep_out(self, *obstacles: Obstacle) -> None:
         """Let nothing but the hand come near these, from now on."""
         self._room.keep_out(*obstacles)
-        if self._realtime is not None:
-            self._realtime.keep_out(*obstacles)
 
     def start(self) -> None:
         """Take the robot where it is measured, at rest, as the last setpoint: after connecting, after a stop.

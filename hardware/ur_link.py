@@ -24,9 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from hardware.room import Room
 from hardware.ur_memory import RING, SNAPSHOT, STOPS, Fault, LinkMemory
-from hardware.ur_rig import obstacles_from_json, rig_from_json
+from hardware.ur_rig import rig_from_json, room_from_json
 from hardware.yielding import Yielding
 
 PERIOD = 0.002
@@ -185,8 +184,7 @@ class Link:
 
     def _begin(self, order: dict[str, Any]) -> None:
         if order["effort"] is not None:
-            room = Room(self._rig)
-            room.keep_out(*obstacles_from_json(order["obstacles"]))
+            room = room_from_json(self._rig, order["room"])
             here = self._now["q"].copy() if self._path is None else self._path
             self._yielding = Yielding(self._rig, room, order["effort"], here, self._wrench())
         self._words["orders"] = order["number"]

@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 
 from hardware.base import SERVO_PERIOD, RobotState, StarvedError
-from hardware.clearance import Obstacle
 from hardware.room import Room
 from hardware.sim import SimRobot
 from hardware.yielding import Yielding
@@ -78,7 +77,7 @@ class StiffRobot(PressingRobot):
 
     def __init__(self, world: SimWorld, rig: Rig, delay: float) -> None:
         super().__init__(world, rig, delay)
-        self._obstacles: tuple[Obstacle, ...] = ()
+        self._room = Room(rig)
         self._rests_at: np.ndarray | None = None
 
     def connect(self) -> None:
@@ -98,8 +97,8 @@ class StiffRobot(PressingRobot):
     def last_sent(self) -> JointTarget:
         return self._last
 
-    def keep_out(self, *obstacles: Obstacle) -> None:
-        self._obstacles = obstacles
+    def stay_in(self, room: Room) -> None:
+        self._room = room
 
     def play(
         self,
@@ -133,10 +132,8 @@ class YieldingRobot(StiffRobot):
                 self.servo(arm.brake(), self._last.opening)
             self._rests_at = arm.position
         if limit is not None:
-            room = Room(self._rig)
-            room.keep_out(*self._obstacles)
             felt = wrench(self.state())
-            self._yielding = Yielding(self._rig, room, np.array(limit), self._last.arm, felt)
+            self._yielding = Yielding(self._rig, self._room, np.array(limit), self._last.arm, felt)
 
     def servo(self, q: np.ndarray, opening: float) -> None:
         if self._yielding is not None and self._limit is not None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from hardware.base import Command, Connected, GripperState, RealtimeRobot, RobotError, StaleError
+from hardware.safety import Guard
 from hardware.stream import PIECE, Stream
 from hardware.ur7e import Ur7e
 from hardware.ur_memory import SNAPSHOT, LinkMemory
@@ -159,6 +160,19 @@ def test_of_an_arm_that_yields_is_recorded_where_it_was_sent_not_where_it_was_as
     assert_recorded_as_sent(lab, commands)
     np.testing.assert_array_equal([c.requested.arm for c in commands], [goal.arm] * len(commands))
     assert np.abs(commands[-1].sent.arm - goal.arm).max() > 0.02
+
+
+@pytest.mark.parametrize("table_z", [0.0, 0.05])
+def test_an_arm_that_yields_keeps_to_its_guards_heights(lab: Lab, table_z: float) -> None:
+    """Pulled down, it would go on to the table; the guard's floor is 20 mm below the tip."""
+    rig = lab.rig(5.0)
+    driver, floor = lab.connect("pull"), rig.tip_pose(rig.arm.home)[2, 3] - 0.02
+    guard = Guard(driver, rig, table_z, margin=table_z - floor)
+    stream = Stream(driver, rig, guard=guard)
+    stream.limit_effort((20.0, 20.0, 20.0, 6.0, 6.0, 6.0))
+    stream.run(stream.target, 1.0)
+    lowest = rig.tip_pose(np.array(lab.wire()))[:, 2, 3].min()
+    assert floor <= lowest < floor + 0.01
 
 
 def test_a_way_to_rest_is_taken_once_and_stays_the_drivers_own(lab: Lab) -> None:

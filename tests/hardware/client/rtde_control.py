@@ -61,8 +61,8 @@ class RTDEControlInterface:
             return False
         if FAULT == "chatter":
             os.write(1, b"x" * 4095 + b"\n")
-        if self._count > GOOD and FAULT == "press":
-            told["force"] = [0.0, 0.0, 100.0, 0.0, 0.0, 0.0]
+        if self._count > GOOD and FAULT in ("press", "pull"):
+            told["force"] = [0.0, 0.0, 100.0 if FAULT == "press" else -100.0, 0.0, 0.0, 0.0]
         self._log.write(" ".join(map(str, q)) + "\n")
         return True
 
