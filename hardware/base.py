@@ -39,15 +39,17 @@ class SkewError(RobotError):
 
 
 class StarvedError(RobotError):
-    """Setpoints came too late, and the arm has braked as it was told beforehand.
+    """Setpoints came too late, or the tip felt too much force, and the arm has braked.
 
     Attributes:
         q: (6,) rad, the setpoint at which it now rests.
+        felt: N at the tip, where that was why; else None.
     """
 
-    def __init__(self, q: Float[np.ndarray, "6"]) -> None:
-        super().__init__("setpoints came too late, and the arm braked to rest")
-        self.q = q
+    def __init__(self, q: Float[np.ndarray, "6"], felt: float | None = None) -> None:
+        why = "setpoints came too late" if felt is None else f"the tip felt {felt:.0f} N"
+        super().__init__(f"{why}, and the arm braked to rest")
+        self.q, self.felt = q, felt
 
 
 class SafetyError(MotionError):
@@ -179,7 +181,8 @@ class RealtimeRobot(Robot, Protocol):
                 the block itself ends at rest.
 
         Raises:
-            StarvedError: the way to rest of the block before had already begun. Nothing of this block was sent.
+            StarvedError: the way to rest of the block before had already begun, and nothing of this block was sent; or
+                the tip felt too much force on the way.
             RobotError: the controller stopped, or does not answer.
         """
         ...

@@ -165,16 +165,21 @@ class Guard:
             if after_each is not None:
                 after_each()
 
+    def too_much_force(self, force: float) -> SafetyError:
+        """The error for a tip that feels `force` N."""
+        most = np.inf if self._controller is None else self._controller.force_limit
+        return SafetyError(
+            "force", "tip", force, most,
+            f"the tip feels {force:.0f} N; allowed: {most:.0f} N",
+            "look what it touches; [controller] force_limit in the rig file sets the limit",
+        )  # fmt: skip
+
     def _check_force(self) -> None:
         if self._controller is None:
             return
-        force, most = float(np.linalg.norm(self._robot.state().tip_force)), self._controller.force_limit
-        if not force <= most:
-            raise SafetyError(
-                "force", "tip", force, most,
-                f"the tip feels {force:.0f} N; allowed: {most:.0f} N",
-                "look what it touches; [controller] force_limit in the rig file sets the limit",
-            )  # fmt: skip
+        force = float(np.linalg.norm(self._robot.state().tip_force))
+        if not force <= self._controller.force_limit:
+            raise self.too_much_force(force)
 
     def _check_motion(self, past: np.ndarray, setpoints: np.ndarray) -> None:
         """Rates, room and tip speed of setpoints that follow the three of `past`."""

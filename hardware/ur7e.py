@@ -297,7 +297,8 @@ class Ur7e(Connected):
             self._require_running()
             time.sleep(SERVO_PERIOD)
         w["epoch"] = int(w["link_epoch"])
-        raise StarvedError(w["held"].copy())
+        felt = float(w["felt"])
+        raise StarvedError(w["held"].copy(), None if felt == 0.0 else felt)
 
     def _stop_program(self) -> None:
         """The link is gone; whatever it uploaded must not go on."""

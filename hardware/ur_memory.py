@@ -41,7 +41,7 @@ LAYOUT = np.dtype(
         ("write", "i8"), ("epoch", "i8"), ("finish", "i8"), ("ring", "f8", (RING, 6)), ("tags", "i8", RING),
         ("stops", STOP, STOPS),
         # Written by the link.
-        ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("fault", "i8"),
+        ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("felt", "f8"), ("fault", "i8"),
         ("uploaded", "i8"), ("orders", "i8"), ("sent", "i8"), ("sequence", "i8"), ("snapshots", SNAPSHOT, 2),
         ("sent_at", "f8", RING), ("wire", "f8", (RING, 6)),
     ]

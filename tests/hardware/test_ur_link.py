@@ -12,7 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import Command, Connected, GripperState, RealtimeRobot, RobotError, StaleError
+from hardware.base import (
+    SERVO_PERIOD,
+    Command,
+    Connected,
+    GripperState,
+    RealtimeRobot,
+    RobotError,
+    SafetyError,
+    StaleError,
+)
 from hardware.safety import Guard
 from hardware.stream import PIECE, Stream
 from hardware.ur7e import Ur7e
@@ -57,7 +66,7 @@ class Lab:
     @staticmethod
     def rig(freshness: float) -> Rig:
         """With slow first runs confirmed, and time enough for a busy machine."""
-        return emulators.rig_at("127.0.0.1", freshness=freshness, lead=0.02)
+        return emulators.rig_at("127.0.0.1", freshness=freshness, lead=0.08)
 
     def connect(self, fault: str = "", freshness: float = 5.0) -> Ur7e:
         """A driver whose link has begun."""
@@ -173,6 +182,25 @@ def test_an_arm_that_yields_keeps_to_its_guards_heights(lab: Lab, table_z: float
     stream.run(stream.target, 1.0)
     lowest = rig.tip_pose(np.array(lab.wire()))[:, 2, 3].min()
     assert floor <= lowest < floor + 0.01
+
+
+def test_a_knock_of_10_ms_is_too_much_force_and_braked_for_at_once(lab: Lab) -> None:
+    rig, driver = lab.rig(5.0), lab.connect("knock")
+    stream = Stream(driver, rig)
+    with pytest.raises(SafetyError, match="the tip feels 400 N; allowed: 300 N") as caught:
+        stream.run(turned(rig, 1.0), 2.0, travel=True)
+    assert caught.value.quantity == "force"
+    braked = len(lab.wire())
+    stream.run(turned(rig, 0.4), 1.0, travel=True)
+    assert wait_for(lambda: len(lab.wire()) >= braked + 500)
+    wire = np.array(lab.wire())
+    assert_nothing_out_of_limits(list(wire), rig)
+    speed = np.diff(wire[:braked, 0]) / SERVO_PERIOD
+    assert speed[399] > 0.3
+    assert (np.diff(np.diff(speed)[399:405]) < 0).all(), "it slows down from the next setpoint on"
+    # v / a + a / j, and a few ticks of what it gained before.
+    fastest = speed[399] / rig.arm.acceleration_limit[0] + rig.arm.acceleration_limit[0] / rig.arm.jerk_limit[0]
+    assert braked - 400 < fastest / SERVO_PERIOD + 10
 
 
 def test_a_way_to_rest_is_taken_once_and_stays_the_drivers_own(lab: Lab) -> None:
