@@ -6,15 +6,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from hardware.clearance import Obstacle
 from resync_robot.core.errors import MotionError, ResyncError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.world import CameraFrame, Cutout, Window
+
+if TYPE_CHECKING:
+    from hardware.room import Room
 
 SERVO_PERIOD = 0.002
 """Seconds between two setpoints: the controller's tick of 500 Hz."""
@@ -37,15 +39,17 @@ class SkewError(RobotError):
 
 
 class StarvedError(RobotError):
-    """Setpoints came too late, and the arm has braked as it was told beforehand.
+    """Setpoints came too late, or the tip felt too much force, and the arm has braked.
 
     Attributes:
         q: (6,) rad, the setpoint at which it now rests.
+        felt: N at the tip, where that was why; else None.
     """
 
-    def __init__(self, q: Float[np.ndarray, "6"]) -> None:
-        super().__init__("setpoints came too late, and the arm braked to rest")
-        self.q = q
+    def __init__(self, q: Float[np.ndarray, "6"], felt: float | None = None) -> None:
+        why = "setpoints came too late" if felt is None else f"the tip felt {felt:.0f} N"
+        super().__init__(f"{why}, and the arm braked to rest")
+        self.q, self.felt = q, felt
 
 
 class SafetyError(MotionError):
@@ -142,16 +146,15 @@ class Robot(Device, Protocol):
 class RealtimeRobot(Robot, Protocol):
     """An arm whose clock does not wait for setpoints: a real one, or a simulation of a real one's controller."""
 
-    @property
     def speed_fraction(self) -> float:
         """Share of full speed that the controller allows now (slider, reduced mode): 0 < fraction <= 1.
 
-        Raises RobotError when the slider stands at zero.
+        No property: up to Python 3.11 `isinstance` reads those. Raises RobotError when the slider stands at zero.
         """
         ...
 
-    def keep_out(self, *obstacles: Obstacle) -> None:
-        """Let nothing but the hand come near these where the arm yields, from the next effort limit on."""
+    def stay_in(self, room: Room) -> None:
+        """Yield within this room, as it is when an effort limit is set; its guard's, which may still change it."""
         ...
 
     def due(self) -> float:
@@ -178,7 +181,8 @@ class RealtimeRobot(Robot, Protocol):
                 the block itself ends at rest.
 
         Raises:
-            StarvedError: the way to rest of the block before had already begun. Nothing of this block was sent.
+            StarvedError: the way to rest of the block before had already begun, and nothing of this block was sent; or
+                the tip felt too much force on the way.
             RobotError: the controller stopped, or does not answer.
         """
         ...

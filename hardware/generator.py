@@ -73,6 +73,22 @@ class Generator:
         way = self._calculate(begin, np.zeros(6), np.zeros(6), 0.0, 1.0)
         return way.setpoints(int(np.ceil(way.duration / SERVO_PERIOD)) + 1)
 
+    def halt(self, past: Float[np.ndarray, "3 6"]) -> Float[np.ndarray, "n 6"]:
+        """Setpoints (rad) to rest after the last three that were sent, as fast as the limits allow. Raises MotionError.
+
+        Of a motion that is only known by its setpoints. Speeds are planned and added up, so that differences of
+        setpoints are what ruckig limits; an acceleration by differences lags by half a tick of jerk.
+        """
+        arm = self._arm
+        (before, velocity), late = np.diff(past, axis=0) / SERVO_PERIOD, arm.jerk_limit * SERVO_PERIOD / 2
+        acceleration = (velocity - before) / SERVO_PERIOD
+        acceleration = np.sign(acceleration) * np.clip(np.abs(acceleration) - late, 0.0, arm.acceleration_limit)
+        velocity = np.clip(velocity, -arm.velocity_limit, arm.velocity_limit)
+        self._input.control_interface = ControlInterface.Velocity
+        way = self._calculate(Motion(past[-1], velocity, acceleration), np.zeros(6), np.zeros(6), 0.0, 1.0)
+        speeds = [way.at(k).velocity for k in range(1, int(np.ceil(way.duration / SERVO_PERIOD)) + 2)]
+        return past[-1] + SERVO_PERIOD * np.cumsum(speeds, axis=0)
+
     def _calculate(self, begin: Motion, q: np.ndarray, arrival: np.ndarray, at_least: float, pace: float) -> Way:
         plan, trajectory = self._input, Trajectory(6)
         plan.current_position = begin.position.tolist()

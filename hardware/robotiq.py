@@ -132,10 +132,7 @@ class Robotiq(Connected):
 
     def state(self) -> GripperState:
         """The latest reading. Raises RobotError on a fault, or when the gripper has fallen silent."""
-        if self._error is not None:
-            raise self._error
-        if self._thread is None:
-            raise RobotError("the gripper is not connected", "use it as `with Robotiq(address) as gripper:`")
+        self._require_work()
         if time.monotonic() - self._heard > STALE_S + TIMEOUT_S:
             raise RobotError("the gripper has fallen silent", "check its cable and its URCap")
         return self._state
@@ -144,8 +141,7 @@ class Robotiq(Connected):
         """Start moving towards `opening` (m); returns at once. Raises RobotError as `state` does."""
         if not np.isfinite(opening) or not -1e-6 <= opening <= self._openings[0] + 0.01:
             raise RobotError(f"an opening of {opening} m; allowed: 0 to {self._openings[0]:.3f} m")
-        if self._error is not None:
-            raise self._error
+        self._require_work()
         with self._lock:
             self._wanted = self.count(opening)
 
@@ -180,7 +176,7 @@ class Robotiq(Connected):
         """Send a line, receive until `end` (an `ack` has no line end) or a line end."""
         sock = self._socket
         if sock is None:
-            raise RobotError("the gripper is not connected", "use it as `with Robotiq(address) as gripper:`")
+            raise _unconnected()
         answer = b""
         try:
             sock.sendall(line.encode("ascii") + b"\n")
@@ -222,6 +218,12 @@ class Robotiq(Connected):
         gripped = status in (ObjectStatus.WHILE_CLOSING, ObjectStatus.WHILE_OPENING)
         self._state, self._heard = GripperState(opening, gripped), time.monotonic()
 
+    def _require_work(self) -> None:
+        if self._error is not None:
+            raise self._error
+        if self._thread is None:
+            raise _unconnected()
+
     def _work(self) -> None:
         sent: int | None = None
         while not self._closing:
@@ -237,3 +239,7 @@ class Robotiq(Connected):
                 _log.warning("gripper: %s", error.what)
                 return
             time.sleep(POLL_S)
+
+
+def _unconnected() -> RobotError:
+    return RobotError("the gripper is not connected", "use it as `with Robotiq(address) as gripper:`")

@@ -24,15 +24,21 @@ class Room:
         margin: how far below the table the tip may be put, m; pressing on things needs a little.
 
     Attributes:
+        table_z, margin: as given.
         floor: m in the world below which neither tip nor flange goes.
     """
 
     def __init__(self, rig: Rig, table_z: float = 0.0, margin: float = 0.01) -> None:
+        self.table_z, self.margin = table_z, margin
         self.floor = table_z - margin
         self._tip_offset = rig.gripper.tip_offset
         self._base_up = rig.arm.world_T_base[2]
         self._controller = rig.controller
         self._clearance = Clearance(rig, table_z)
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        return self._clearance.obstacles
 
     def keep_out(self, *obstacles: Obstacle) -> None:
         """Let nothing but the hand come near these, from now on."""

@@ -52,6 +52,8 @@ class Guard:
         )
         self._controller = rig.controller
         self._room = Room(rig, table_z, margin)
+        if self._realtime is not None:
+            self._realtime.stay_in(self._room)
         self._past = np.zeros((3, 6))
         self._opening = 0.0
         self.start()
@@ -68,8 +70,6 @@ class Guard:
     def keep_out(self, *obstacles: Obstacle) -> None:
         """Let nothing but the hand come near these, from now on."""
         self._room.keep_out(*obstacles)
-        if self._realtime is not None:
-            self._realtime.keep_out(*obstacles)
 
     def start(self) -> None:
         """Take the robot where it is measured, at rest, as the last setpoint: after connecting, after a stop.
@@ -165,16 +165,21 @@ class Guard:
             if after_each is not None:
                 after_each()
 
+    def too_much_force(self, force: float) -> SafetyError:
+        """The error for a tip that feels `force` N."""
+        most = np.inf if self._controller is None else self._controller.force_limit
+        return SafetyError(
+            "force", "tip", force, most,
+            f"the tip feels {force:.0f} N; allowed: {most:.0f} N",
+            "look what it touches; [controller] force_limit in the rig file sets the limit",
+        )  # fmt: skip
+
     def _check_force(self) -> None:
         if self._controller is None:
             return
-        force, most = float(np.linalg.norm(self._robot.state().tip_force)), self._controller.force_limit
-        if not force <= most:
-            raise SafetyError(
-                "force", "tip", force, most,
-                f"the tip feels {force:.0f} N; allowed: {most:.0f} N",
-                "look what it touches; [controller] force_limit in the rig file sets the limit",
-            )  # fmt: skip
+        force = float(np.linalg.norm(self._robot.state().tip_force))
+        if not force <= self._controller.force_limit:
+            raise self.too_much_force(force)
 
     def _check_motion(self, past: np.ndarray, setpoints: np.ndarray) -> None:
         """Rates, room and tip speed of setpoints that follow the three of `past`."""

@@ -157,7 +157,7 @@ class Stream:
             RobotError: the robot stopped, or does not answer.
         """
         asked, begin = self._clock(), time.perf_counter()
-        fraction = self._pace if self._realtime is None else self._pace * self._realtime.speed_fraction
+        fraction = self._pace if self._realtime is None else self._pace * self._realtime.speed_fraction()
         count = self._count(duration, fraction)
         for _ in range(MAX_LATENESS):
             try:
@@ -177,11 +177,13 @@ class Stream:
                     self._send(target, setpoints[rows], openings[rows], piece.stop)
                     self._motion = piece.after
             except StarvedError as error:
-                # The arm rests where it braked to; the same target is asked for again from there.
-                self.late += 1
                 self._guard.rest_at(error.q)
                 before = self._target
                 self._rest()
+                if error.felt is not None:
+                    raise self._guard.too_much_force(error.felt) from None
+                # The arm rests where it braked to; the same target is asked for again from there.
+                self.late += 1
                 self._target = before
                 continue
             except MotionError:

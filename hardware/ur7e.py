@@ -21,11 +21,11 @@ from hardware.base import (
     StaleError,
     StarvedError,
 )
-from hardware.clearance import Obstacle
 from hardware.dashboard import OTHER_SAFETY, Dashboard
+from hardware.room import Room
 from hardware.ur_memory import LONGEST_STOP, RING, STOPS, Fault, LinkMemory
 from hardware.ur_process import LinkProcess
-from hardware.ur_rig import obstacles_to_json, rig_to_json
+from hardware.ur_rig import rig_to_json, room_to_json
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import ControllerRig, Rig
 
@@ -64,7 +64,7 @@ class Ur7e(Connected):
         self._opening = 0.0
         self._blocks = 0
         self._orders = 0
-        self._obstacles: tuple[Obstacle, ...] = ()
+        self._room = Room(rig)
         self._last_heard = 0.0, time.monotonic()
 
     def connect(self) -> None:
@@ -111,7 +111,6 @@ class Ur7e(Connected):
         opening = self.gripper.state().opening
         return RobotState(float(now["time"]), now["q"].copy(), now["qd"].copy(), force, opening)
 
-    @property
     def speed_fraction(self) -> float:
         """See `RealtimeRobot`."""
         fraction = float(self._require_link().snapshot()["speed_fraction"])
@@ -186,16 +185,16 @@ class Ur7e(Connected):
         if self._link is None:
             return
         self._orders += 1
-        obstacles = obstacles_to_json(self._obstacles)
-        self._link.order(number=self._orders, effort=None if limit is None else list(limit), obstacles=obstacles)
+        effort = None if limit is None else list(limit)
+        self._link.order(number=self._orders, effort=effort, room=room_to_json(self._room))
         # It is taken when the last setpoint is out; what yielded comes to rest first.
         while int(w["orders"]) < self._orders:
             self._require_running()
             time.sleep(SERVO_PERIOD)
 
-    def keep_out(self, *obstacles: Obstacle) -> None:
+    def stay_in(self, room: Room) -> None:
         """See `RealtimeRobot`."""
-        self._obstacles = obstacles
+        self._room = room
 
     def acknowledge_stop(self) -> None:
         """After a person has looked: unlock a protective stop once it is old enough, and connect anew.
@@ -298,7 +297,8 @@ class Ur7e(Connected):
             self._require_running()
             time.sleep(SERVO_PERIOD)
         w["epoch"] = int(w["link_epoch"])
-        raise StarvedError(w["held"].copy())
+        felt = float(w["felt"])
+        raise StarvedError(w["held"].copy(), None if felt == 0.0 else felt)
 
     def _stop_program(self) -> None:
         """The link is gone; whatever it uploaded must not go on."""

@@ -1,6 +1,7 @@
 """The process that holds the ur-rtde client: it sends a setpoint every 2 ms, and watches the controller.
 
-While an effort limit is set, what it sends yields to what the arm feels (`hardware.yielding`).
+While an effort limit is set, what it sends yields to what the arm feels (`hardware.yielding`). Without one it brakes by
+itself when the tip feels more than the rig's force limit: it sees every state, its driver one in a piece.
 
 Why a process of its own: when the link drops, ur-rtde 1.6.5 can end its process by SIGSEGV. Why the script is uploaded
 by hand: given the task, the client uploads it again with every reconnection, and the robot would run a program
@@ -24,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from hardware.room import Room
+from hardware.generator import Generator
 from hardware.ur_memory import RING, SNAPSHOT, STOPS, Fault, LinkMemory
-from hardware.ur_rig import obstacles_from_json, rig_from_json
+from hardware.ur_rig import rig_from_json, room_from_json
 from hardware.yielding import Yielding
 
 PERIOD = 0.002
@@ -74,7 +75,10 @@ class Link:
         self._rig = rig_from_json(settings["rig"])
         self._orders: deque[dict[str, Any]] = deque()
         self._yielding: Yielding | None = None
-        self._path: np.ndarray | None = None
+        self._past: np.ndarray | None = None
+        controller = self._rig.controller
+        self._most_force = np.inf if controller is None else controller.force_limit
+        self._generator = Generator(self._rig.arm, 1.0)
         self.receive = RTDEReceiveInterface(settings["address"], 1 / PERIOD, list(VARIABLES))
         # Without FLAG_UPLOAD_SCRIPT, see above.
         self.control = RTDEControlInterface(settings["address"], 1 / PERIOD, int(RTDEControlInterface.FLAG_NO_WAIT))
@@ -147,12 +151,12 @@ class Link:
                 return fault
             q = self._yielded(self._next_setpoint())
             if q is not None:
-                kick = due + KICK_S
-                row = int(w["sent"]) % RING
-                w["wire"][row], w["sent_at"][row] = q, time.monotonic()
-                w["sent"] += 1
+                kick, at = due + KICK_S, time.monotonic()
                 if not self.control.servoJ(q.tolist(), 0.0, 0.0, PERIOD, LOOKAHEAD, GAIN):
                     return Fault.STOPPED if self.receive.isConnected() else Fault.LINK_LOST
+                row = int(w["sent"]) % RING
+                w["wire"][row], w["sent_at"][row] = q, at
+                w["sent"] += 1
             elif self._driver_gone.is_set() or w["finish"]:
                 return Fault.DRIVER_GONE
             elif due >= kick:
@@ -162,9 +166,7 @@ class Link:
     def _yielded(self, path: np.ndarray | None) -> np.ndarray | None:
         """What is sent where the arm is asked to be at `path`, or to stay where it is; carries out orders then."""
         ending = False
-        if path is not None:
-            self._path = path
-        else:
+        if path is None:
             ending = bool(self._orders) or self._driver_gone.is_set() or bool(self._words["finish"])
         arm = self._yielding
         if arm is None:
@@ -172,22 +174,18 @@ class Link:
                 self._begin(self._orders.popleft())
             return path
         if not ending:
-            self._path = arm.position if self._path is None else self._path
-            return arm.follow(self._path, self._now["q"], self._wrench())
+            return arm.follow(arm.position if self._past is None else self._past[-1], self._now["q"], self._wrench())
         if not arm.at_rest:
             return arm.brake()
         # Wherever that is, the driver begins from there.
-        self._yielding, self._words["held"] = None, arm.position
-        self._words["resting"] = 1
-        self._words["link_epoch"] += 1
-        self._path = arm.position
+        self._yielding, self._past = None, np.tile(arm.position, (3, 1))
+        self._take_over(arm.position, resting=True)
         return None
 
     def _begin(self, order: dict[str, Any]) -> None:
         if order["effort"] is not None:
-            room = Room(self._rig)
-            room.keep_out(*obstacles_from_json(order["obstacles"]))
-            here = self._now["q"].copy() if self._path is None else self._path
+            room = room_from_json(self._rig, order["room"])
+            here = self._now["q"].copy() if self._past is None else self._past[-1]
             self._yielding = Yielding(self._rig, room, order["effort"], here, self._wrench())
         self._words["orders"] = order["number"]
 
@@ -206,34 +204,52 @@ class Link:
 
     def _next_setpoint(self) -> np.ndarray | None:
         """The next of the way to rest under way, else of the ring, else of the way to rest from the ring's end."""
-        w = self._words
-        if not self._braking:
-            read, write, epoch = int(w["read"]), int(w["write"]), int(w["link_epoch"])
-            while read < write and w["tags"][read % RING] != epoch:
-                read += 1
-            w["read"] = min(read + 1, write)
-            if read < write:
-                return w["ring"][read % RING].copy()
-            way = self._way_to_rest(read, epoch)
-            if way is None:
-                return None
-            self._braking.extend(way)
-            w["held"] = way[-1]
-            w["resting"] = 0
-            w["link_epoch"] = epoch + 1
-        q: np.ndarray = self._braking.popleft()
-        if not self._braking:
-            w["resting"] = 1
+        q = self._next_of_the_way() if self._braking else self._next_of_the_ring()
+        if q is not None:
+            self._past = np.tile(q, (3, 1)) if self._past is None else np.concatenate([self._past[1:], q[None]])
+        elif self._past is not None:
+            self._past[:] = self._past[-1]
         return q
 
+    def _next_of_the_ring(self) -> np.ndarray | None:
+        w = self._words
+        read, write, epoch = int(w["read"]), int(w["write"]), int(w["link_epoch"])
+        while read < write and w["tags"][read % RING] != epoch:
+            read += 1
+        felt = math.hypot(*self._now["force"][:3].tolist())
+        w["read"] = min(read + 1, write)
+        if read == write:
+            way, felt = self._way_to_rest(read, epoch), 0.0
+        # An arm that yields answers by itself.
+        elif felt <= self._most_force or self._yielding is not None:
+            return w["ring"][read % RING].copy()
+        else:
+            past = w["ring"][read % RING][None].repeat(3, 0) if self._past is None else self._past
+            way = self._generator.halt(past)
+        if way is None:
+            return None
+        self._braking.extend(way)
+        self._take_over(way[-1], felt=felt)
+        return self._next_of_the_way()
+
+    def _next_of_the_way(self) -> np.ndarray:
+        q: np.ndarray = self._braking.popleft()
+        if not self._braking:
+            self._words["resting"] = 1
+        return q
+
+    def _take_over(self, held: np.ndarray, resting: bool = False, felt: float = 0.0) -> None:
+        """From here on the driver's setpoints are void, until it begins anew from where the arm comes to rest."""
+        w = self._words
+        w["held"], w["felt"], w["resting"] = held, felt, resting
+        w["link_epoch"] += 1
+
     def _way_to_rest(self, read: int, epoch: int) -> np.ndarray | None:
+        """Once only: while it is under way the link is an epoch ahead of every slot."""
         for i in range(STOPS):
             slot = self._words["stops"][i]
             if slot["epoch"] == epoch and slot["after"] == read and slot["count"]:
-                way = slot["q"][: int(slot["count"])].copy()
-                # Once only: `read` stays where it is while the arm rests.
-                slot["count"] = 0
-                return way
+                return slot["q"][: int(slot["count"])].copy()
         return None
 
     def learn_why(self) -> None:

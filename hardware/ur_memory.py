@@ -1,8 +1,9 @@
 """Memory that the driver shares with the process that talks to the arm; neither ever waits for the other.
 
-Each word has one writer. Setpoints travel in a ring; every block comes with its way to rest. `wire` is what the last
-RING of them were when they went out, and `sent_at` when that was, on the host's monotonic clock. Of two snapshots of
-the robot one is whole while the other is written: a reader finds one even where the writer died in the middle of it.
+Each word has one writer. Setpoints travel in a ring; every block comes with its way to rest, of which the link reads
+the last block's while the driver writes over the oldest. `wire` is what the last RING setpoints were when they went
+out, and `sent_at` when that was, on the host's monotonic clock. Of two snapshots of the robot one is whole while the
+other is written: a reader finds one even where the writer died in the middle of it.
 """
 
 from __future__ import annotations
@@ -36,11 +37,13 @@ SNAPSHOT = np.dtype(
 STOP = np.dtype([("epoch", "i8"), ("after", "i8"), ("count", "i8"), ("q", "f8", (LONGEST_STOP, 6))])
 LAYOUT = np.dtype(
     [
-        ("write", "i8"), ("epoch", "i8"), ("finish", "i8"),  # written by the driver
-        ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("fault", "i8"),
-        ("uploaded", "i8"), ("orders", "i8"), ("sent", "i8"), ("sequence", "i8"), ("snapshots", SNAPSHOT, 2),
-        ("sent_at", "f8", RING), ("wire", "f8", (RING, 6)), ("ring", "f8", (RING, 6)), ("tags", "i8", RING),
+        # Written by the driver.
+        ("write", "i8"), ("epoch", "i8"), ("finish", "i8"), ("ring", "f8", (RING, 6)), ("tags", "i8", RING),
         ("stops", STOP, STOPS),
+        # Written by the link.
+        ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("felt", "f8"), ("fault", "i8"),
+        ("uploaded", "i8"), ("orders", "i8"), ("sent", "i8"), ("sequence", "i8"), ("snapshots", SNAPSHOT, 2),
+        ("sent_at", "f8", RING), ("wire", "f8", (RING, 6)),
     ]
 )  # fmt: skip
 

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hardware.clearance import Obstacle
+from hardware.room import Room
 from resync_robot.core.rig import ArmRig, CameraRig, ControllerRig, GripperRig, Rig
 
 T = TypeVar("T")
@@ -35,14 +36,16 @@ def rig_from_json(data: dict[str, Any]) -> Rig:
     )
 
 
-def obstacles_to_json(obstacles: tuple[Obstacle, ...]) -> list[dict[str, Any]]:
-    """See `obstacles_from_json`."""
-    return [_table(obstacle) for obstacle in obstacles]
+def room_to_json(room: Room) -> dict[str, Any]:
+    """See `room_from_json`."""
+    return {"table_z": room.table_z, "margin": room.margin, "obstacles": [_table(o) for o in room.obstacles]}
 
 
-def obstacles_from_json(data: list[dict[str, Any]]) -> list[Obstacle]:
-    """What `obstacles_to_json` was given."""
-    return [_made(Obstacle, table) for table in data]
+def room_from_json(rig: Rig, data: dict[str, Any]) -> Room:
+    """A room of that rig's arm like the one that `room_to_json` was given."""
+    room = Room(rig, data["table_z"], data["margin"])
+    room.keep_out(*(_made(Obstacle, table) for table in data["obstacles"]))
+    return room
 
 
 def _table(part: Any) -> dict[str, Any]:

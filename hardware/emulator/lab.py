@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,17 @@ MAX_LINE = 1 << 20
 MAX_PICTURE = 1 << 26
 TIMEOUT_S = 120.0
 """A scene and its first picture take half a minute where the processor draws and is busy, others up to a second."""
+
+
+@contextmanager
+def _sense() -> Iterator[None]:
+    """Around the reading of an answer: one error for any that is not what was asked for."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        raise RobotError(
+            f"the emulated lab's answer makes no sense: {type(error).__name__}: {str(error)[:60]}", "start it again"
+        ) from None
 
 
 class LabClient(Connected):
@@ -57,17 +69,20 @@ class LabClient(Connected):
 
     def truth(self) -> State:
         """Where everything really is."""
-        return State.from_json(self.ask({"do": "truth"})[0]["objects"], TYPES)
+        head, _ = self.ask({"do": "truth"})
+        with _sense():
+            return State.from_json(head["objects"], TYPES)
 
     def picture(self, camera: str) -> tuple[float, np.ndarray, np.ndarray]:
         """Time on the controller's clock (s), (H, W, 3) uint8 RGB, (H, W) uint16 depth in 1e-4 m, with all noise."""
         head, body = self.ask({"do": "picture", "camera": camera})
-        height, width = int(head["height"]), int(head["width"])
+        with _sense():
+            time, height, width = float(head["time"]), int(head["height"]), int(head["width"])
         if len(body) != height * width * 5:
             raise RobotError(f"the emulated camera '{camera}' sent {len(body)} bytes for {width} x {height} pixels")
         colour = np.frombuffer(body, np.uint8, height * width * 3).reshape(height, width, 3)
         depth = np.frombuffer(body, "<u2", height * width, height * width * 3).reshape(height, width)
-        return float(head["time"]), colour, depth
+        return time, colour, depth
 
     def window(self, camera: str, window: Window, size: int) -> tuple[float, np.ndarray]:
         """Time on the controller's clock (s), and (size, size, 3) uint8 RGB of a part of a picture, with all noise."""
@@ -75,7 +90,9 @@ class LabClient(Connected):
         head, body = self.ask({"do": "picture", "camera": camera, "window": sides, "size": size})
         if len(body) != size * size * 3:
             raise RobotError(f"the emulated camera '{camera}' sent {len(body)} bytes for {size} x {size} pixels")
-        return float(head["time"]), np.frombuffer(body, np.uint8).reshape(size, size, 3)
+        with _sense():
+            time = float(head["time"])
+        return time, np.frombuffer(body, np.uint8).reshape(size, size, 3)
 
     def ask(self, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
         """The answer, and the bytes that follow it, for any thread. Raises RobotError with the lab's own words."""
@@ -95,12 +112,12 @@ class LabClient(Connected):
                 raise ValueError("no JSON object")
             if "error" in head:
                 raise RobotError(f"the emulated lab: {head['error']}")
-            size = int(head.get("bytes", 0))
-            if not 0 <= size <= MAX_PICTURE:
-                raise ValueError(f"{size} bytes")
+            size = head.get("bytes", 0)
+            if not isinstance(size, int) or not 0 <= size <= MAX_PICTURE:
+                raise ValueError(f"{str(size)[:40]} bytes")
             while len(self._buffer) < size:
                 self._receive(MAX_PICTURE)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             self.close()
             raise RobotError(f"the emulated lab does not answer: {error}", "start it again") from None
         body, self._buffer = self._buffer[:size], self._buffer[size:]

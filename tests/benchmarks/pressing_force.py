@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 
 from hardware.base import SERVO_PERIOD, RobotState, StarvedError
-from hardware.clearance import Obstacle
 from hardware.room import Room
 from hardware.sim import SimRobot
 from hardware.yielding import Yielding
@@ -76,11 +75,9 @@ class PressingRobot(SimRobot):
 class StiffRobot(PressingRobot):
     """Its clock does not wait for setpoints, as far as the stream can tell, and it caps nothing."""
 
-    speed_fraction = 1.0
-
     def __init__(self, world: SimWorld, rig: Rig, delay: float) -> None:
         super().__init__(world, rig, delay)
-        self._obstacles: tuple[Obstacle, ...] = ()
+        self._room = Room(rig)
         self._rests_at: np.ndarray | None = None
 
     def connect(self) -> None:
@@ -91,14 +88,17 @@ class StiffRobot(PressingRobot):
     def cap(self, limit: tuple[float, ...] | None) -> None:
         pass
 
+    def speed_fraction(self) -> float:
+        return 1.0
+
     def due(self) -> float:
         return self.state().time
 
     def last_sent(self) -> JointTarget:
         return self._last
 
-    def keep_out(self, *obstacles: Obstacle) -> None:
-        self._obstacles = obstacles
+    def stay_in(self, room: Room) -> None:
+        self._room = room
 
     def play(
         self,
@@ -132,10 +132,8 @@ class YieldingRobot(StiffRobot):
                 self.servo(arm.brake(), self._last.opening)
             self._rests_at = arm.position
         if limit is not None:
-            room = Room(self._rig)
-            room.keep_out(*self._obstacles)
             felt = wrench(self.state())
-            self._yielding = Yielding(self._rig, room, np.array(limit), self._last.arm, felt)
+            self._yielding = Yielding(self._rig, self._room, np.array(limit), self._last.arm, felt)
 
     def servo(self, q: np.ndarray, opening: float) -> None:
         if self._yielding is not None and self._limit is not None:

@@ -97,15 +97,20 @@ def attack(stream: Stream, rig: Rig, kind: str, rng: np.random.Generator) -> str
 
 
 @never_excused()
+def assert_rates_hold(motion: np.ndarray, rig: Rig) -> None:
+    """Velocity, acceleration and jerk of setpoints (n, 6), by their differences."""
+    for limit in (rig.arm.velocity_limit, rig.arm.acceleration_limit, rig.arm.jerk_limit):
+        motion = np.diff(motion, axis=0) / SERVO_PERIOD
+        assert (np.abs(motion) <= limit * (1 + ROUNDING)).all()
+
+
+@never_excused()
 def assert_nothing_out_of_limits(sent: Sequence[np.ndarray], rig: Rig, start: np.ndarray | None = None) -> None:
     """Every setpoint, with the arm at rest at `start`, or home, before the first: limits, workspace, room."""
     wire = np.array(sent)
     assert wire.shape == (len(sent), 6) and np.isfinite(wire).all()
     assert (np.abs(wire) <= kinematics.JOINT_LIMIT).all()
-    motion = np.concatenate([[rig.arm.home if start is None else start] * 3, wire])
-    for limit in (rig.arm.velocity_limit, rig.arm.acceleration_limit, rig.arm.jerk_limit):
-        motion = np.diff(motion, axis=0) / SERVO_PERIOD
-        assert (np.abs(motion) <= limit * (1 + ROUNDING)).all()
+    assert_rates_hold(np.concatenate([[rig.arm.home if start is None else start] * 3, wire]), rig)
     clearance = Clearance(rig)
     for part in np.array_split(wire, max(1, len(wire) // 2000)):
         frames = clearance.frames(part)

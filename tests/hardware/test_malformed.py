@@ -17,12 +17,15 @@ from hardware.emulator.arm import KinematicArm
 from hardware.emulator.controller import Controller, SafetyMode
 from hardware.emulator.dashboard import DashboardClient
 from hardware.emulator.gripper import EmulatedGripper, GripperClient
+from hardware.emulator.lab import LabClient
 from hardware.emulator.rtde import RtdeClient
 from hardware.emulator.server import Emulator
 from hardware.robotiq import Robotiq
 from hardware.ur7e import Ur7e
 from hardware.ur_process import LinkProcess
+from resync_robot.core.errors import ResyncError
 from resync_robot.core.rig import load_rig
+from resync_robot.core.world import Window
 from tests import emulators
 
 GRIPPER_WORDS = (
@@ -44,6 +47,11 @@ DASHBOARD_WORDS = (
     b"Safetystatus:", b"Robotmode:", b"NORMAL", b"RUNNING", b"true", b":", b"", b"\xff\xfe", b"\x00", b"Safetystatus",
 )  # fmt: skip
 
+LAB_VALUES = (
+    "0", "1", "3", "-1", "5.5", "1e999", "NaN", "true", "null", '"3"', "[]", "[1]", "{}", '{"a": {}}', '{"a": 3}',
+    '{"a": {"type": "block", "features": 3}}', '{"a": {"type": [], "features": []}}', "9" * 5000, "[" * 100_000,
+)  # fmt: skip
+LAB_WORDS = (b"{", b"}", b"{}", b"[" * 3000, b'{"a":' * 3000, b"NaN", b"\xff", b"null", b"3", b'"bytes": []')
 EMULATED_GRIPPER_WORDS = (b"GET", b"SET", b"POS", b"ACT", b"-1", b"99999999", b"\xff", b"0", b"", b"GET POS", b"\x00")
 KNOWN_ANSWERS = {b"POS 66", b"POS 67", b"POS 68", b"ACT 0", b"ACT 1"}
 """To what by chance is a question; the fingers stand still."""
@@ -108,6 +116,23 @@ def test_ten_thousand_answers_of_a_dashboard_that_is_none() -> None:
         except RobotError:
             errors += 1
     assert errors > 9_900, "three sound answers in a row are rare"
+
+
+def test_ten_thousand_answers_of_a_lab_that_is_none() -> None:
+    rng, errors = np.random.default_rng(7), 0
+    lab, window = LabClient("127.0.0.1"), Window(0, 0, 1, 1)
+    questions = (lambda: lab.ask({}), lab.truth, lambda: lab.picture("wrist"), lambda: lab.window("wrist", window, 1))
+    for i in range(10_000):
+        names = rng.choice(["bytes", "time", "height", "width", "objects", "error"], size=int(rng.integers(6)))
+        fields = [f'"{name}": {LAB_VALUES[int(rng.integers(len(LAB_VALUES)))]}' for name in names]
+        line = "{" + ", ".join(fields) + "}\n"
+        talk = line.encode() + rng.bytes(5) if rng.random() < 0.8 else nonsense(rng, LAB_WORDS)
+        lab._socket, lab._buffer = Wire(talk, rng), b""  # type: ignore[assignment]
+        try:
+            questions[i % len(questions)]()
+        except ResyncError:
+            errors += 1
+    assert 7_000 < errors < 10_000, "some are what a lab says"
 
 
 def in_pieces(data: bytes, rng: np.random.Generator) -> list[bytes]:

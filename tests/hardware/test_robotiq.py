@@ -68,6 +68,16 @@ def test_openings_outside_are_refused(machine: Emulator, opening: float) -> None
         gripper.move(opening)
 
 
+def test_a_gripper_that_is_not_connected_takes_no_request(machine: Emulator) -> None:
+    gripper = Robotiq(machine.address)
+    for _ in range(2):
+        for use in (gripper.state, lambda: gripper.move(0.05)):
+            with pytest.raises(RobotError, match="not connected"):
+                use()
+        with gripper:
+            gripper.move(0.05)
+
+
 @pytest.mark.parametrize(("code", "word"), [(0xE, "current is too high"), (8, "too hot"), (99, "unknown kind")])
 def test_a_fault_is_one_sentence(machine: Emulator, code: int, word: str) -> None:
     assert machine.gripper is not None

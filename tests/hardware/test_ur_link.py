@@ -12,7 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import Command, Connected, GripperState, RobotError, StaleError
+from hardware.base import (
+    SERVO_PERIOD,
+    Command,
+    Connected,
+    GripperState,
+    RealtimeRobot,
+    RobotError,
+    SafetyError,
+    StaleError,
+)
+from hardware.safety import Guard
 from hardware.stream import PIECE, Stream
 from hardware.ur7e import Ur7e
 from hardware.ur_memory import SNAPSHOT, LinkMemory
@@ -56,7 +66,7 @@ class Lab:
     @staticmethod
     def rig(freshness: float) -> Rig:
         """With slow first runs confirmed, and time enough for a busy machine."""
-        return emulators.rig_at("127.0.0.1", freshness=freshness, lead=0.02)
+        return emulators.rig_at("127.0.0.1", freshness=freshness, lead=0.08)
 
     def connect(self, fault: str = "", freshness: float = 5.0) -> Ur7e:
         """A driver whose link has begun."""
@@ -145,12 +155,63 @@ def test_what_is_recorded_as_sent_is_what_went_out_then(lab: Lab) -> None:
     assert len(moving) > 5 and len(set(moving)) > 0.4 * len(moving), "not once for each piece of the way"
 
 
+def test_a_setpoint_that_the_client_refuses_is_not_recorded_as_sent(lab: Lab) -> None:
+    driver = lab.connect("refuse")
+    with pytest.raises(RobotError, match="control program was stopped"):
+        Stream(driver, lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 1.0)
+    assert len(driver.sent_at()) == len(lab.wire())
+    np.testing.assert_array_equal(driver.last_sent().arm, lab.wire()[-1])
+
+
 def test_of_an_arm_that_yields_is_recorded_where_it_was_sent_not_where_it_was_asked_to_be(lab: Lab) -> None:
     goal = turned(lab.rig(5.0), 0.0)
     commands = recorded(lab, lab.connect("press"), (20.0, 20.0, 20.0, 6.0, 6.0, 6.0), goal)
     assert_recorded_as_sent(lab, commands)
     np.testing.assert_array_equal([c.requested.arm for c in commands], [goal.arm] * len(commands))
     assert np.abs(commands[-1].sent.arm - goal.arm).max() > 0.02
+
+
+@pytest.mark.parametrize("table_z", [0.0, 0.05])
+def test_an_arm_that_yields_keeps_to_its_guards_heights(lab: Lab, table_z: float) -> None:
+    """Pulled down, it would go on to the table; the guard's floor is 20 mm below the tip."""
+    rig = lab.rig(5.0)
+    driver, floor = lab.connect("pull"), rig.tip_pose(rig.arm.home)[2, 3] - 0.02
+    guard = Guard(driver, rig, table_z, margin=table_z - floor)
+    stream = Stream(driver, rig, guard=guard)
+    stream.limit_effort((20.0, 20.0, 20.0, 6.0, 6.0, 6.0))
+    stream.run(stream.target, 1.0)
+    lowest = rig.tip_pose(np.array(lab.wire()))[:, 2, 3].min()
+    assert floor <= lowest < floor + 0.01
+
+
+def test_a_knock_of_10_ms_is_too_much_force_and_braked_for_at_once(lab: Lab) -> None:
+    rig, driver = lab.rig(5.0), lab.connect("knock")
+    stream = Stream(driver, rig)
+    with pytest.raises(SafetyError, match="the tip feels 400 N; allowed: 300 N") as caught:
+        stream.run(turned(rig, 1.0), 2.0, travel=True)
+    assert caught.value.quantity == "force"
+    braked = len(lab.wire())
+    stream.run(turned(rig, 0.4), 1.0, travel=True)
+    assert wait_for(lambda: len(lab.wire()) >= braked + 500)
+    wire = np.array(lab.wire())
+    assert_nothing_out_of_limits(list(wire), rig)
+    speed = np.diff(wire[:braked, 0]) / SERVO_PERIOD
+    assert speed[399] > 0.3
+    assert (np.diff(np.diff(speed)[399:405]) < 0).all(), "it slows down from the next setpoint on"
+    # v / a + a / j, and a few ticks of what it gained before.
+    fastest = speed[399] / rig.arm.acceleration_limit[0] + rig.arm.acceleration_limit[0] / rig.arm.jerk_limit[0]
+    assert braked - 400 < fastest / SERVO_PERIOD + 10
+
+
+def test_a_way_to_rest_is_taken_once_and_stays_the_drivers_own(lab: Lab) -> None:
+    driver, q = lab.connect(), lab.rig(5.0).arm.home
+    words, way = driver._require_link().words, np.tile(q, (30, 1))
+    driver.play(np.tile(q, (10, 1)), np.full(10, 0.1), way)
+    written = words["stops"].tobytes()
+    assert wait_for(lambda: bool(words["resting"]))
+    time.sleep(0.1)
+    assert words["stops"].tobytes() == written
+    assert len(lab.wire()) == 40
 
 
 def test_a_link_that_crashes_has_its_program_stopped(lab: Lab) -> None:
@@ -173,9 +234,13 @@ def test_a_time_that_is_no_number_is_silence(lab: Lab) -> None:
             stream.run(turned(rig, 0.05), 0.1)
 
 
-def test_a_speed_that_is_no_number_is_not_moved_at(lab: Lab) -> None:
-    with pytest.raises(RobotError, match="slider stands at nan"):
-        Stream(lab.connect("no fraction"), lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 0.1)
+@pytest.mark.parametrize(("fault", "says"), [("no fraction", "nan"), ("no speed", "0")])
+def test_a_speed_that_is_none_is_not_moved_at_and_hinders_nothing_else(lab: Lab, fault: str, says: str) -> None:
+    driver = lab.connect(fault)
+    assert isinstance(driver, RealtimeRobot)
+    stream = Stream(driver, lab.rig(5.0))
+    with pytest.raises(RobotError, match=f"slider stands at {says}\n"):
+        stream.run(turned(lab.rig(5.0), 0.05), 0.1)
     assert lab.wire() == []
 
 

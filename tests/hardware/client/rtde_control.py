@@ -57,10 +57,14 @@ class RTDEControlInterface:
             told["stopped"] = True
         if self._count > GOOD and FAULT == "no time":
             told["time"] = float("nan")
+        if self._count > GOOD and FAULT == "refuse":
+            return False
         if FAULT == "chatter":
             os.write(1, b"x" * 4095 + b"\n")
-        if self._count > GOOD and FAULT == "press":
-            told["force"] = [0.0, 0.0, 100.0, 0.0, 0.0, 0.0]
+        if self._count > GOOD and FAULT in ("press", "pull"):
+            told["force"] = [0.0, 0.0, 100.0 if FAULT == "press" else -100.0, 0.0, 0.0, 0.0]
+        if FAULT == "knock":
+            told["force"] = [0.0, 0.0, 400.0 if 400 < self._count <= 405 else 0.0, 0.0, 0.0, 0.0]
         self._log.write(" ".join(map(str, q)) + "\n")
         return True
 

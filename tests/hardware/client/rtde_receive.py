@@ -45,7 +45,7 @@ class RTDEReceiveInterface:
         return 1 if "stopped" in told else 2
 
     def getSpeedScaling(self) -> float:
-        return float("nan") if FAULT == "no fraction" else 1.0
+        return {"no fraction": float("nan"), "no speed": 0.0}.get(FAULT, 1.0)
 
     def getPayload(self) -> object:
         return told["payload"]

@@ -98,7 +98,7 @@ def test_the_slider_and_reduced_mode_stretch_the_plan(
     machine.call(lambda: setattr(machine.controller, "slider", slider))
     machine.call(lambda: machine.controller.set_safety(SafetyMode(mode)))
     with robot:
-        assert robot.speed_fraction == pytest.approx(fraction)
+        assert robot.speed_fraction() == pytest.approx(fraction)
         stream = Stream(robot, rig)
         wire = machine.controller.wire
         assert wire is not None

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import Command, ProtectiveStopError, RobotError, RobotState, SafetyError, StaleError
+from hardware.base import SERVO_PERIOD, Command, ProtectiveStopError, RobotError, RobotState, SafetyError, StaleError
 from hardware.emulator.controller import SafetyMode
 from hardware.emulator.faults import FAULTS
 from hardware.emulator.server import Emulator
@@ -283,3 +283,28 @@ def test_too_much_force_stops_the_stream(machine: Emulator, robot: Ur7e, rig: Ri
             swing(stream, rig, 2.0, begin=0.2)
         assert caught.value.quantity == "force"
         assert wait_for(lambda: is_still(machine))
+
+
+def test_a_knock_is_braked_for_within_a_few_ticks(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
+    """10 ms of force, which who looks once in 0.1 s does not see; on the emulator's clock."""
+    knocked: list[float] = []
+
+    def knock(emulator: Emulator) -> None:
+        moving = abs(emulator.controller.velocity[0]) > 0.3
+        if knocked or moving:
+            knocked.append(emulator.controller.time)
+            emulator.controller.arm.force[2] = 400.0 * (len(knocked) <= 5)  # type: ignore[attr-defined]
+
+    with robot:
+        stream = Stream(robot, rig)
+        swing(stream, rig, 0.2)
+        machine.call(lambda: machine.every_tick.append(knock))
+        with pytest.raises(SafetyError, match="feels 400 N"):
+            swing(stream, rig, 4.0, begin=0.2)
+        assert wait_for(lambda: is_still(machine))
+        wire = machine.controller.wire or []
+    times, speed = np.array([t for t, _ in wire[1:]]), np.diff([q[0] for _, q in wire]) / SERVO_PERIOD
+    after = times > knocked[0]
+    fastest = times[after][np.argmax(np.abs(speed[after]))]
+    assert fastest - knocked[0] < 0.030
+    assert times[np.abs(speed) > 1e-6][-1] - knocked[0] < 0.150
