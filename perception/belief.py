@@ -26,6 +26,7 @@ from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
+from resync_robot.core.vocabulary import BLOCK, DRAWER, LID
 from resync_robot.core.world import CameraFrame
 
 GRIP_SLACK = 0.008
@@ -50,7 +51,7 @@ class ScanReport:
 
 
 class Belief:
-    """Keeps an estimated state of box and blocks.
+    """Keeps an estimated state of box, blocks, lids and drawers.
 
     A block that the pads have closed on rides with the tips; the jaws centre it and turn it flush, so its place
     between them is known better than before. Sizes are averaged over the scans; poses are those of the last one.
@@ -59,9 +60,10 @@ class Belief:
         robot_object, box_object, block_objects: whose features to estimate; blocks by the catalogue's names.
         rig: whose hand and cameras.
         estimator: SceneEstimator(rig) by default.
+        fittings: lids and drawers, by the catalogue's names.
 
     Raises:
-        UnknownNameError: a block that the catalogue does not have.
+        UnknownNameError: a block, a lid or a drawer that the catalogue does not have, or has no colour of.
     """
 
     def __init__(
@@ -71,13 +73,16 @@ class Belief:
         block_objects: Sequence[Object],
         rig: Rig,
         estimator: SceneEstimator | None = None,
+        fittings: Sequence[Object] = (),
     ) -> None:
         self._estimator = estimator or SceneEstimator(rig)
         self._robot, self._box, self._blocks = robot_object, box_object, tuple(block_objects)
-        names = tuple(self._estimator.catalogue.hues)
-        for block in self._blocks:
-            if block.name not in names:
-                raise UnknownNameError("block of the catalogue", block.name, names)
+        self._fittings = tuple(fittings)
+        catalogue = self._estimator.catalogue
+        names = {BLOCK: catalogue.blocks, LID: catalogue.coloured_lids, DRAWER: catalogue.coloured_drawers}
+        for obj in (*self._blocks, *self._fittings):
+            if obj.name not in names[obj.type]:
+                raise UnknownNameError(f"{obj.type.name} of the catalogue", obj.name, names[obj.type])
         self._known: dict[Object, Known] = {}
         self._held: Object | None = None
         self._tip_T_held = np.eye(4)
@@ -132,6 +137,10 @@ class Belief:
             self._change_grasp(seen, robot_features)
         for block in seen:
             self._known[block] = measured(self._known.get(block), scene.blocks[block.name])
+        fitted = [o for o in self._fittings if o.name in scene.fittings]
+        for obj in fitted:
+            self._known[obj] = Known(scene.fittings[obj.name].features, scene.fittings[obj.name].covariance)
+        ambiguous |= {o.name: scene.seen_twice[o.name] for o in self._fittings if o.name in scene.seen_twice}
         unseen = [b for b in self._blocks if b not in seen and b != self._held and b.name not in ambiguous]
         # From above down, as last believed: what hides under one block may hide another in its turn.
         unseen.sort(key=lambda b: -self._known[b].features[2] if b in self._known else 0.0)
@@ -139,9 +148,10 @@ class Belief:
         for block in unseen:
             if self._hide(block, [*seen, *hidden], scene):
                 hidden.append(block)
-        missing = tuple(b.name for b in unseen if b not in hidden)
+        lost = [o for o in self._fittings if o not in fitted and o.name not in ambiguous]
+        missing = tuple(o.name for o in (*unseen, *lost) if o not in hidden)
         self.report = ScanReport(
-            seen=tuple(b.name for b in seen),
+            seen=tuple(o.name for o in (*seen, *fitted)),
             hidden=tuple(b.name for b in hidden),
             held=(self._held.name,) if self._held else (),
             tipped=tuple(b.name for b in seen if not scene.blocks[b.name].upright),
@@ -149,9 +159,9 @@ class Belief:
             missing=missing,
         )
         self._ambiguous = ambiguous
-        for block in self._blocks:
-            if block in self._known and block.name in (*missing, *ambiguous):
-                self._known[block] = out_of_sight(self._known[block])
+        for obj in (*self._blocks, *self._fittings):
+            if obj in self._known and obj.name in (*missing, *ambiguous):
+                self._known[obj] = out_of_sight(self._known[obj], moves=obj.type == DRAWER)
         unsettled: list[UnsettledSceneError] = []
         if missing:
             unsettled.append(MissingObjectsError(missing, self.report.seen, scene.without_depth))
@@ -162,18 +172,18 @@ class Belief:
         return self.state(robot_features)
 
     def unclear_places(self, most_sigma: float = 0.0012) -> list[Float[np.ndarray, "2"]]:
-        """Where another look may help: blocks that the last scan saw badly, did not find, or saw more than once.
+        """Where another look may help: things that the last scan saw badly, did not find, or saw more than once.
 
         Args:
-            most_sigma: m, of x or y, up to which a block that was seen is known well enough.
+            most_sigma: m, of x or y, up to which a thing that was seen is known well enough.
         """
         places: list[np.ndarray] = [place for seen in self._ambiguous.values() for place in seen]
-        for block in self._blocks:
-            known = self._known.get(block)
-            if known is None or block == self._held:
+        for obj in (*self._blocks, *self._fittings):
+            known = self._known.get(obj)
+            if known is None or obj == self._held:
                 continue
-            badly = block.name in self.report.seen and np.diag(known.covariance)[:2].max() > most_sigma**2
-            if badly or block.name in self.report.missing:
+            badly = obj.name in self.report.seen and np.diag(known.covariance)[:2].max() > most_sigma**2
+            if badly or obj.name in self.report.missing:
                 places.append(known.features[:2])
         return places
 

@@ -38,7 +38,7 @@ class MissingObjectsError(UnsettledSceneError):
     """A scan did not find everything.
 
     Attributes:
-        names: of the blocks that were neither seen nor plausibly hidden.
+        names: of the things that were neither seen nor plausibly hidden.
         seen: names of those that were.
         without_depth: names of those missing that show in the pictures, where these hold no depth.
     """
@@ -47,7 +47,7 @@ class MissingObjectsError(UnsettledSceneError):
         blind = tuple(n for n in missing if n in without_depth)
         why = f" ({', '.join(blind)} shows in the pictures, but without depth)" if blind else ""
         super().__init__(
-            f"the scan did not find {', '.join(missing)}{why}; it found {', '.join(seen) or 'no block'}",
+            f"the scan did not find {', '.join(missing)}{why}; it found {', '.join(seen) or 'nothing'}",
             "shade it from glare, and keep it 0.2 m from the lens"
             if blind
             else "put it where the wrist camera looks: into the box, or on the table left or right of it",
@@ -57,17 +57,17 @@ class MissingObjectsError(UnsettledSceneError):
 
 
 class AmbiguousObjectsError(UnsettledSceneError):
-    """More blocks of a colour were seen than there are, and nothing says which of them is meant.
+    """More things of a kind were seen than there are, and nothing says which of them is meant.
 
     Attributes:
-        seen: name of each block in question -> (n, 2) where blocks of its colour were seen, m.
+        seen: name of each thing in question -> (n, 2) where such ones were seen, m.
     """
 
     def __init__(self, seen: Mapping[str, Float[np.ndarray, "n 2"]]) -> None:
         words = []
         for name, places in seen.items():
             where = ", ".join(f"({x:.3f}, {y:.3f})" for x, y in places)
-            words.append(f"{len(places)} blocks that may be {name}, at {where} m")
+            words.append(f"{len(places)} things that may be {name}, at {where} m")
         super().__init__(
             f"the scan saw {'; '.join(words)}", "take away what is not part of the task, and all else of that colour"
         )

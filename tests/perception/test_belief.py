@@ -296,7 +296,7 @@ def test_what_should_be_there_and_is_not_seen_may_have_moved(belief: Belief) -> 
 def test_both_what_is_missing_and_what_was_seen_twice_are_named(belief: Belief) -> None:
     belief.update(scene(block("b0", 0.45, 0.05), block("b1", 0.45, 0.30, 0.0)), robot())
     twice = SceneEstimate(box(), {"b0": block("b0", 0.52, 0.15)}, {}, surplus=(block("b0", 0.5, -0.15),))
-    with pytest.raises(UnsettledSceneError, match=r"did not find b1.*2 blocks that may be b0") as error:
+    with pytest.raises(UnsettledSceneError, match=r"did not find b1.*2 things that may be b0") as error:
         belief.update(twice, robot())
     assert error.value.names == ("b1", "b0")
 
