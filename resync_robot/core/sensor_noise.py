@@ -36,6 +36,9 @@ class SensorNoise:
     """Share of the picture in random small holes."""
     exposure_sigma: float = 0.06
     white_balance_sigma: float = 0.015
+    exposure_time: float = 0.0156
+    """s that the shutter of the colour picture is open; while the camera moves, this blurs."""
+    depth_exposure_time: float = 0.0085
     colour_sigma: float = 2.5
     """Noise of a colour value, of 255."""
 
