@@ -158,6 +158,12 @@ class RealtimeRobot(Robot, Protocol):
         """When the next setpoint that is handed over will go out, s on the robot's clock."""
         ...
 
+    def last_sent(self) -> JointTarget:
+        """What went out last, which is not what was handed over last: that waits in a queue, and an arm that yields is
+        sent elsewhere. Where the arm rests, before the first.
+        """
+        ...
+
     def play(
         self,
         setpoints: Float[np.ndarray, "n 6"],

@@ -229,7 +229,12 @@ class Stream:
 
         A robot in real time yields instead, as fast as it can: with a limit its tip keeps to PRESSING_SPEED, in more
         time.
+
+        Raises:
+            MotionError: a limit that is not six positive numbers.
         """
+        if limit is not None and not (len(limit) == 6 and all(0.0 < most < np.inf for most in limit)):
+            raise MotionError(f"an effort limit of {limit} N m; allowed: six positive numbers, or None")
         if self._realtime is None:
             self._robot.limit_effort(limit)
             if limit is None:
@@ -331,5 +336,8 @@ class Stream:
         return self._robot.state().time
 
     def _command(self, requested: JointTarget) -> Command:
-        sent = JointTarget(self._guard.last_sent, self._guard.last_opening)
+        if self._realtime is not None:
+            sent = self._realtime.last_sent()
+        else:
+            sent = JointTarget(self._guard.last_sent, self._guard.last_opening)
         return Command(self._clock(), requested, sent)

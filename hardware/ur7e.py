@@ -26,6 +26,7 @@ from hardware.dashboard import OTHER_SAFETY, Dashboard
 from hardware.ur_memory import LONGEST_STOP, RING, STOPS, Fault, LinkMemory
 from hardware.ur_process import LinkProcess
 from hardware.ur_rig import obstacles_to_json, rig_to_json
+from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import ControllerRig, Rig
 
 _log = logging.getLogger(__name__)
@@ -114,8 +115,9 @@ class Ur7e(Connected):
     def speed_fraction(self) -> float:
         """See `RealtimeRobot`."""
         fraction = float(self._require_link().snapshot()["speed_fraction"])
-        if fraction < 0.01:
-            raise RobotError("the speed slider stands at zero", "raise it on the teach pendant")
+        # What is not a number is no speed either.
+        if not fraction >= 0.01:
+            raise RobotError(f"the speed slider stands at {fraction:.2g}", "raise it on the teach pendant")
         return min(fraction, 1.0)
 
     def sent_at(self) -> Float[np.ndarray, " n"]:
@@ -123,6 +125,13 @@ class Ur7e(Connected):
         w = self._require_link().words
         sent = int(w["sent"])
         return w["sent_at"][np.arange(max(0, sent - RING), sent) % RING]
+
+    def last_sent(self) -> JointTarget:
+        """See `RealtimeRobot`."""
+        memory = self._require_link()
+        sent = int(memory.words["sent"])
+        q = memory.words["wire"][(sent - 1) % RING] if sent else memory.snapshot()["q"]
+        return JointTarget(q.copy(), self._opening)
 
     def due(self) -> float:
         """See `RealtimeRobot`."""

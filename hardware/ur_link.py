@@ -12,6 +12,7 @@ It reads its settings as one line of JSON on standard input, and ends when that 
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import threading
@@ -120,7 +121,7 @@ class Link:
         now, r = self._now, self.receive
         host = time.monotonic()
         stamp = r.getTimestamp()
-        if stamp != now["time"]:
+        if stamp != now["time"] and math.isfinite(stamp):
             now["time"], now["heard"] = stamp, host
             now["q"], now["qd"], now["force"] = r.getActualQ(), r.getActualQd(), r.getActualTCPForce()
             now["robot_mode"], now["safety_mode"] = r.getRobotMode(), r.getSafetyMode()
@@ -147,7 +148,8 @@ class Link:
             q = self._yielded(self._next_setpoint())
             if q is not None:
                 kick = due + KICK_S
-                w["sent_at"][int(w["sent"]) % RING] = time.monotonic()
+                row = int(w["sent"]) % RING
+                w["wire"][row], w["sent_at"][row] = q, time.monotonic()
                 w["sent"] += 1
                 if not self.control.servoJ(q.tolist(), 0.0, 0.0, PERIOD, LOOKAHEAD, GAIN):
                     return Fault.STOPPED if self.receive.isConnected() else Fault.LINK_LOST
@@ -274,6 +276,8 @@ def main() -> None:
     try:
         threading.Thread(target=link.watch_driver, daemon=True).start()
         say(ready=True)
+        # Nobody reads on: what the client's library prints from here on must not fill the pipe, and hold up the loop.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         leave(serve(link, memory))
     except Exception:
         traceback.print_exc()

@@ -1,8 +1,8 @@
 """Memory that the driver shares with the process that talks to the arm; neither ever waits for the other.
 
-Each word has one writer. Setpoints travel in a ring; every block comes with its way to rest. `sent_at` is the host's
-monotonic time of the last RING setpoints. Of two snapshots of the robot one is whole while the other is written: a
-reader finds one even where the writer died in the middle of it.
+Each word has one writer. Setpoints travel in a ring; every block comes with its way to rest. `wire` is what the last
+RING of them were when they went out, and `sent_at` when that was, on the host's monotonic clock. Of two snapshots of
+the robot one is whole while the other is written: a reader finds one even where the writer died in the middle of it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ LAYOUT = np.dtype(
         ("write", "i8"), ("epoch", "i8"), ("finish", "i8"),  # written by the driver
         ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("fault", "i8"),
         ("uploaded", "i8"), ("orders", "i8"), ("sent", "i8"), ("sequence", "i8"), ("snapshots", SNAPSHOT, 2),
-        ("sent_at", "f8", RING), ("ring", "f8", (RING, 6)), ("tags", "i8", RING), ("stops", STOP, STOPS),
+        ("sent_at", "f8", RING), ("wire", "f8", (RING, 6)), ("ring", "f8", (RING, 6)), ("tags", "i8", RING),
+        ("stops", STOP, STOPS),
     ]
 )  # fmt: skip
 

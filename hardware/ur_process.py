@@ -120,9 +120,9 @@ class LinkProcess:
             *whole, rest = (rest + data).split(b"\n")
             for line in whole:
                 text = line.decode("utf-8", "replace").strip()
-                if text.startswith("{"):
+                with suppress(ValueError, RecursionError):
                     content = json.loads(text)
-                    if isinstance(content, dict):
+                    if isinstance(content, dict) and content.keys() & {"ready", "error"}:
                         return content
                 lines.append(text)
                 _log.debug("ur-rtde: %s", text)

@@ -85,7 +85,9 @@ class DoubtingModel(Model):
 
 def doubting(model: Model) -> DoubtingModel:
     """The same model, for states that are estimated."""
-    return DoubtingModel(model.skills, DoubtingAbstraction(model.abstraction), model.operators, model.affordances)
+    return DoubtingModel(
+        model.skills, DoubtingAbstraction(model.abstraction), model.operators, model.affordances, model.risk
+    )
 
 
 def samples(state: State, count: int) -> list[State]:

@@ -12,13 +12,14 @@ from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import RETRAIN, Library, Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Skill
-from resync_robot.core.symbols import Type
+from resync_robot.core.symbols import Operator, Predicate, Type
 from resync_robot.core.task import Domain
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.model import Concepts, load_concepts
 from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.execute import Affordance, Model
 from resync_robot.planning.pddl import domain_to_pddl
+from resync_robot.planning.risk import Risk, Tally
 
 
 def shipped_library(domain: str) -> Path:
@@ -93,9 +94,25 @@ def learned_model(domain: Domain, rig: Rig, library: Library, recovery: Skill | 
         for variant, base in library.execution.get("variants", {}).items():
             operator = next(o for o in operators if o.name == variant)
             skills[variant] = _variant(variant, skills[base], tuple(v.type for v in operator.parameters))
-    except (AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
+        risk = _risk(library.execution.get("experience", {}), predicates, operators)
+    except (AttributeError, IndexError, KeyError, StopIteration, TypeError, ValueError) as error:
         raise LibraryError(f"execution.json does not fit domain.pddl: {error!r}", RETRAIN) from error
-    return Model(skills, Abstraction(predicates, classifiers), operators, affordances)
+    return Model(skills, Abstraction(predicates, classifiers), operators, affordances, risk)
+
+
+def _risk(experience: Mapping[str, Any], predicates: tuple[Predicate, ...], operators: tuple[Operator, ...]) -> Risk:
+    by_name, signatures = {p.name: p for p in predicates}, {o.name: o.parameters for o in operators}
+    tallies: dict[str, list[Tally]] = {skill: [] for skill in experience}
+    for skill, entries in experience.items():
+        for entry in entries:
+            predicate, argument = by_name[entry["predicate"]], int(entry["argument"])
+            if predicate.types != (signatures[skill][argument].type,):
+                raise ValueError(f"{predicate.name} is not about argument {argument} of {skill}")
+            held, otherwise = ((int(s), int(n)) for s, n in (entry["held"], entry["otherwise"]))
+            if not (0 <= held[0] <= held[1] and 0 <= otherwise[0] <= otherwise[1]):
+                raise ValueError(f"{skill} succeeded more often than it was tried")
+            tallies[skill].append(Tally(predicate, argument, held, otherwise))
+    return Risk(tallies)
 
 
 def make_library(
@@ -123,6 +140,7 @@ def make_library(
         execution={
             "affordances": concepts.report.get("affordance_of", {}),
             "variants": concepts.report.get("variants", {}),
+            "experience": concepts.report.get("experience", {}),
         },
         policies={domain.recovery: policy} if policy else {},
     )

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hardware import room
@@ -130,6 +131,46 @@ def test_a_dry_run_looks_plans_records_and_moves_no_skill(
     assert episode.meta.scenario == "s1" and episode.meta.goal == "On(b1, b0)"
     assert episode.meta.library_hash == given_library().content_hash
     assert next(episode.plans()).steps == ("Pick(r, b1)", "Insert(r, b1, b0)")
+
+
+def slow_rig(folder: Path) -> Path:
+    """The emulated rig, whose motions nobody has confirmed."""
+    path, text = folder / "slow.toml", Path(RIG).read_text()
+    assert text.count("full_speed = true") == 1
+    path.write_text(text.replace("full_speed = true", "full_speed = false"))
+    return path
+
+
+def test_a_step_that_is_not_confirmed_is_not_run(
+    renderer: None, library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr("builtins.input", lambda prompt: asked.append(prompt) or "n")
+    out = tmp_path / "run"
+    args = ["--library", str(library), "--perception", "oracle", "--confirm", "--out", str(out)]
+    assert cli.main(["deploy", *args]) == 3
+    assert asked == ["Run Pick(r, b1)? [y/N] "]
+    (path,) = episodes(out)
+    assert [e.kind for e in read_episode(path).events()] == [EventKind.STOP]
+
+
+@pytest.mark.slow
+def test_a_first_run_is_slow_and_asks_before_each_step(
+    renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, answers = slow_rig(tmp_path), iter(["y", "n"])
+    monkeypatch.setattr("builtins.input", lambda prompt: next(answers))
+    out = tmp_path / "run"
+    args = ["--library", str(library), "--rig", str(rig), "--perception", "oracle", "--confirm", "--out", str(out)]
+    assert cli.main(["deploy", *args]) == 3
+    assert "250 mm/s at most" in capsys.readouterr().out and next(answers, None) is None
+    episode = read_episode(episodes(out)[0])
+    kinds = [e.kind for e in episode.events()]
+    assert kinds.count(EventKind.SKILL_START) == 1 and kinds[-1] is EventKind.STOP
+    joints = list(episode.joints())
+    tips = load_rig(rig).tip_pose(np.array([j.sent.arm for j in joints]))[:, :3, 3]
+    speeds = np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff([j.time for j in joints])
+    assert 0.05 < speeds.max() <= 0.25 * 1.001
 
 
 def test_an_arm_that_stands_where_it_cannot_be_driven_leaves_the_other_episodes_their_turn(

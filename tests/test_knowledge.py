@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from resync_robot.core.errors import LibraryError, PolicyError
 from resync_robot.core.rig import load_rig
+from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.knowledge import (
     camera_recovery,
     initial_model,
@@ -52,7 +54,10 @@ def test_a_library_comes_back_as_the_model_it_was_made_of() -> None:
         CORNERED.classifiers,
         CORNERED.operators,
         {},
-        {"affordance_of": {"Pick": {"predicate": "HandEmpty", "argument": 0}}},
+        {
+            "affordance_of": {"Pick": {"predicate": "HandEmpty", "argument": 0}},
+            "experience": {"Pick": [{"predicate": "HandEmpty", "argument": 0, "held": [1, 2], "otherwise": [0, 3]}]},
+        },
     )
     gaussian = PairGaussian.fit([torch.rand(4).numpy() for _ in range(5)])
     library = make_library(CORNERED, RIG, recovery_record(), {"before": gaussian}, concepts, {"seed": 1})
@@ -60,6 +65,10 @@ def test_a_library_comes_back_as_the_model_it_was_made_of() -> None:
     assert set(model.operators) == set(CORNERED.operators)
     assert set(model.abstraction.predicates) == set(CORNERED.predicates)
     assert model.affordances == {"Pick": Affordance("HandEmpty", 0)}
+    pick = next(o for o in CORNERED.operators if o.name == "Pick").ground((ROBOT("r"), BLOCK("b")))
+    hand_empty = next(iter(pick.preconditions))
+    assert model.risk is not None
+    assert [model.risk.of(pick, atoms) for atoms in ({hand_empty}, set())] == pytest.approx(-np.log([2 / 4, 1 / 5]))
     assert library.gaussians == {"before": gaussian.to_json()}
     assert (library.rig_hash, library.provenance) == (RIG.hash, {"seed": 1})
 
@@ -91,6 +100,12 @@ def test_a_recovery_record_that_lacks_a_part_is_refused(part: str) -> None:
         {"affordances": ["Pick"]},
         {"affordances": {"Pick": {"predicate": "HandEmpty", "argument": "first"}}},
         {"variants": {"Pick_Recover": "Pick"}},
+        {"experience": {"Pick": [{"predicate": "HandEmpty", "argument": 0, "held": [3, 2], "otherwise": [0, 0]}]}},
+        {"experience": {"Pick": [{"predicate": "HandEmpty", "argument": 1, "held": [1, 2], "otherwise": [0, 0]}]}},
+        {"experience": {"Pick": [{"predicate": "HandEmpty", "argument": 7, "held": [1, 2], "otherwise": [0, 0]}]}},
+        {"experience": {"Pick": [{"predicate": "Bare", "argument": 0, "held": [1, 2], "otherwise": [0, 0]}]}},
+        {"experience": {"Juggle": [{"predicate": "HandEmpty", "argument": 0, "held": [1, 2], "otherwise": [0, 0]}]}},
+        {"experience": {"Pick": [{"predicate": "HandEmpty", "argument": 0}]}},
     ],
 )
 def test_execution_that_does_not_fit_the_domain_is_refused(execution: dict[str, object]) -> None:

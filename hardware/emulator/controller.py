@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from hardware.base import SERVO_PERIOD
 from hardware.emulator.arm import Measured, PhysicsArm
+from hardware.emulator.judge import Judge
 from hardware.emulator.program import Command, ControlProgram
 from hardware.emulator.variables import Value
 from resync_robot.core import kinematics, spatial
@@ -100,6 +101,7 @@ class Controller:
     Attributes:
         time: s since it was switched on, its own clock.
         wire: the servo setpoints received, as (time in s, (6,) rad), kept where a test sets it to a list.
+        judge: looks at each of them, where there is one.
         opening: m that the gripper wants between its pads.
     """
 
@@ -121,6 +123,7 @@ class Controller:
         self.protective_stops = 0
         self.popup = ""
         self.wire: list[tuple[float, np.ndarray]] | None = None
+        self.judge: Judge | None = None
         self._stopped_at = -np.inf
         self.commanded: Float[np.ndarray, "6"] = arm.measure().q.copy()
         self.velocity = np.zeros(6)
@@ -177,9 +180,14 @@ class Controller:
             self.slider = min(max(fraction, 0.0), 1.0)
         if self.program is not None:
             self.program.on_input(values)
-            if self.wire is not None and values.get("input_int_register_0") == Command.SERVOJ:
-                q = np.array([values.get(f"input_double_register_{i}", np.nan) for i in range(6)])
-                self.wire.append((self.time, q))
+            if values.get("input_int_register_0") == Command.SERVOJ:
+                self._write_down(np.array([values.get(f"input_double_register_{i}", np.nan) for i in range(6)]))
+
+    def _write_down(self, q: Float[np.ndarray, "6"]) -> None:
+        if self.wire is not None:
+            self.wire.append((self.time, q))
+        if self.judge is not None:
+            self.judge.take(q)
 
     def start_program(self, script: str) -> str:
         """Run an uploaded script; returns why not, '' when it runs."""
@@ -191,6 +199,8 @@ class Controller:
             return "" if self.program is None else self._end_program("another script was sent")
         self.program = ControlProgram(self.settings.version)
         self.uploads += 1
+        if self.judge is not None:
+            self.judge.begin(self._measured.q)
         # A script starts from registers that nobody has written since.
         for name in [n for n in self.inputs if "_int_register_" in n]:
             self.inputs[name] = 0

@@ -60,6 +60,7 @@ FAULTS: dict[str, Callable[[Emulator], None]] = {
     "link-drop": Emulator.drop_link,
     "gripper-fault": _gripper("fault", 0xE),
     "gripper-silent": _gripper("silent", True),
+    "gripper-gone": Emulator.drop_gripper,
 }
 """Name on the command line -> what happens then, on the emulator's thread."""
 

@@ -161,8 +161,15 @@ class Emulator:
 
     def drop_link(self) -> None:
         """Cut every RTDE connection, as a pulled cable does; call it through `call`."""
+        self._drop_all(RtdeClient)
+
+    def drop_gripper(self) -> None:
+        """Cut every connection to the gripper, as a URCap that ends does; call it through `call`."""
+        self._drop_all(GripperClient)
+
+    def _drop_all(self, kind: type[Conversation]) -> None:
         for connection in list(self._connections):
-            if isinstance(connection.talk, RtdeClient):
+            if isinstance(connection.talk, kind):
                 self._drop(connection)
 
     def run(self) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from resync_robot.core.errors import TrainingError, UnknownNameError
@@ -21,6 +21,7 @@ from resync_robot.core.trajectory import Trajectory
 from resync_robot.learning.classifiers import NeuralClassifier
 from resync_robot.learning.dataset import Dataset, Step, merged_dataset, variant_dataset
 from resync_robot.learning.effects import Candidate, affordances, candidates, supervise
+from resync_robot.learning.experience import experience
 from resync_robot.learning.features import gather
 from resync_robot.learning.fit import COMPACT, PAPER, SCREENING, Fit, FitConfig, fit
 from resync_robot.learning.model import Concepts, GivenModel, assemble, quantifications
@@ -137,7 +138,10 @@ def learn_concepts(
         "variants": {s: failed_skill for s in dataset.signatures if s not in signatures},
         "seconds": round(time.perf_counter() - start, 2),
     }
-    return assemble(given, selection, pool.concepts, report)
+    concepts = assemble(given, selection, pool.concepts, report)
+    learned = Abstraction(concepts.predicates, concepts.classifiers)
+    gone = experience(trajectories, learned, concepts.operators)
+    return replace(concepts, report={**concepts.report, "experience": gone})
 
 
 def _skill_after(dataset: Dataset, recovery: str) -> str:

@@ -45,7 +45,8 @@ class Concepts:
         records: learned predicates as library records.
         report: what was tried, kept and why; plain data. `affordance_of[skill]` is {"predicate", "argument"}: the
             learned predicate that the skill needs, and which of the skill's parameters it is about. After the skill
-            failed on an object, that atom is to be held false until a recovery.
+            failed on an object, that atom is to be held false until a recovery. `experience` is that of
+            `learning.experience`.
     """
 
     predicates: tuple[Predicate, ...]

@@ -19,6 +19,7 @@ from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Operator
 from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import Observation, World
 from resync_robot.planning.abstract import HOLDS, Abstraction
+from resync_robot.planning.risk import Risk
 from resync_robot.planning.search import Plan
 from resync_robot.planning.suppose import find_plan
 
@@ -38,12 +39,13 @@ class Affordance:
 
 @dataclass(frozen=True)
 class Model:
-    """What Plan_f plans with: skills, abstraction, operators (the paper's C, Psi, Op)."""
+    """What Plan_f plans with: skills, abstraction, operators (the paper's C, Psi, Op), and what experience adds."""
 
     skills: Mapping[str, Skill]
     abstraction: Abstraction
     operators: tuple[Operator, ...]
     affordances: Mapping[str, Affordance] = field(default_factory=dict)
+    risk: Risk | None = None
 
     def skill(self, name: str) -> Skill:
         if name not in self.skills:
@@ -142,7 +144,7 @@ def plan_f(
             return ended(End.GOAL)
         try:
             found, supposed = find_plan(
-                model.operators, model.abstraction, state.objects, atoms, goal, s.heuristic, supposed_before
+                model.operators, model.abstraction, state.objects, atoms, goal, s.heuristic, supposed_before, model.risk
             )
         except PlanningError as error:
             # Doubt that leaves no way to act is no use: believe what is most likely, and try once more.

@@ -22,6 +22,7 @@ from pyperplan.task import Task
 
 from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, distinct_products
+from resync_robot.planning.risk import Risk
 
 INFINITY = float("inf")
 
@@ -88,15 +89,20 @@ def plan(
     goal: Atoms,
     heuristic: str = "lmcut",
     max_nodes: int = 50_000,
+    risk: Risk | None = None,
 ) -> Plan:
     """The first plan that A* finds; always the same one for the same input.
+
+    Args:
+        risk: given one, of the shortest plans the one whose steps bear the least in sum (with a heuristic that never
+            overestimates).
 
     Raises:
         PlanningError: no plan reaches the goal, or none was found within `max_nodes`.
         UnknownNameError: the heuristic does not exist.
     """
     start = time.perf_counter()
-    problem = _Problem(operators, objects, atoms, goal)
+    problem = _Problem(operators, objects, atoms, goal, risk=risk)
     estimate = problem.heuristic(heuristic)
     created = 0
 
@@ -108,12 +114,42 @@ def plan(
         return estimate(node)
 
     try:
-        found = astar_search(problem.task, counted)
+        found = _surest(problem, counted, risk) if risk else astar_search(problem.task, counted)
     except _TooManyNodes:
         raise PlanningError(f"no plan for {_words(goal)} within {max_nodes} search nodes") from None
     if found is None:
         raise PlanningError(f"no plan reaches {_words(goal)}{problem.why_not()}")
     return Plan(problem.steps(found), created, time.perf_counter() - start)
+
+
+def _surest(problem: _Problem, estimate: Callable[[SearchNode], float], risk: Risk) -> list[Any] | None:
+    """A* on (steps, risk), compared in this order; the heuristic speaks of steps only."""
+    values: dict[frozenset[int], float] = {}
+
+    def h(node: SearchNode) -> float:
+        if node.state not in values:
+            values[node.state] = estimate(node)
+        return values[node.state]
+
+    root = make_root_node(problem.task.initial_state)
+    best = {root.state: (0, 0.0)}
+    queue = [(h(root), 0.0, h(root), 0, root)] if h(root) < INFINITY else []
+    pushed = 0
+    while queue:
+        _, borne, _, _, node = heapq.heappop(queue)
+        if best[node.state] < (node.g, borne):
+            continue
+        if problem.task.goal_reached(node.state):
+            steps: list[Any] = node.extract_solution()
+            return steps
+        for op, state in problem.task.get_successor_states(node.state):
+            child = make_child_node(node, op, state)
+            cost = child.g, borne + problem.risk_of(op, node.state)
+            if (state not in best or cost < best[state]) and h(child) < INFINITY:
+                best[state] = cost
+                pushed += 1
+                heapq.heappush(queue, (child.g + h(child), cost[1], h(child), pushed, child))
+    return None
 
 
 def plans(
@@ -176,7 +212,7 @@ def ground_all(operators: Iterable[Operator], objects: Iterable[Object]) -> list
 
 
 class _Problem:
-    """A pyperplan task with numbered facts. Only facts that some precondition or the goal asks for are kept."""
+    """A pyperplan task with numbered facts. Only facts that a precondition, the goal or a risk asks for are kept."""
 
     def __init__(
         self,
@@ -185,13 +221,16 @@ class _Problem:
         atoms: Atoms,
         goal: Atoms,
         keep_useless: bool = False,
+        risk: Risk | None = None,
     ) -> None:
         if not goal:
             raise PlanningError("the goal is empty: there is nothing to plan for")
-        self.goal, self.atoms = goal, atoms
+        self.goal, self.atoms, self._risk = goal, atoms, risk
         self.ground = ground_all(operators, objects)
-        asked = sorted(goal.union(*(op.preconditions for op in self.ground)))
-        number = {atom: i for i, atom in enumerate(asked, start=1)}
+        self._asked = sorted(
+            goal.union(*(op.preconditions for op in self.ground), *(risk.atoms(op) for op in self.ground if risk))
+        )
+        number = {atom: i for i, atom in enumerate(self._asked, start=1)}
 
         def facts(of: Iterable[Atom]) -> frozenset[int]:
             return frozenset(sorted(number[a] for a in of if a in number))
@@ -199,7 +238,7 @@ class _Problem:
         # Fact 0 always holds and stands for "no precondition": pyperplan's own stand-in is a string.
         self.task = Task(
             "task",
-            frozenset(range(len(asked) + 1)),
+            frozenset(range(len(self._asked) + 1)),
             facts(atoms) | {0},
             facts(goal),
             [
@@ -213,6 +252,12 @@ class _Problem:
         if name not in HEURISTICS:
             raise UnknownNameError("heuristic", name, list(HEURISTICS))
         return HEURISTICS[name](self.task)
+
+    def risk_of(self, op: PyperplanOperator, state: frozenset[int]) -> float:
+        """What the step bears where `state` holds; 0 without a risk."""
+        if self._risk is None:
+            return 0.0
+        return self._risk.of(self.ground[op.name], {self._asked[i - 1] for i in state if i})
 
     def steps(self, found: Sequence[Any]) -> tuple[GroundOperator, ...]:
         return tuple(self.ground[op.name] for op in found)

@@ -14,6 +14,7 @@ from collections.abc import Container, Iterable, Sequence
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate
 from resync_robot.planning.abstract import Abstraction
+from resync_robot.planning.risk import Risk
 from resync_robot.planning.search import Plan, ground_all, plan
 
 
@@ -25,11 +26,13 @@ def find_plan(
     goal: Atoms,
     heuristic: str = "lmcut",
     disproved: Container[str] = (),
+    risk: Risk | None = None,
 ) -> tuple[Plan, str]:
     """A plan by the operators as they are, or else the shortest one that begins with a supposition.
 
     Args:
         disproved: suppositions, in the words that were returned, that are not made again.
+        risk: which of several shortest plans by the operators is taken.
 
     Returns:
         The plan, and what it supposes: empty, or words such as "Pick(r, b2) ends On".
@@ -39,7 +42,7 @@ def find_plan(
     """
     objects = tuple(objects)
     try:
-        return plan(operators, objects, atoms, goal, heuristic), ""
+        return plan(operators, objects, atoms, goal, heuristic, risk=risk), ""
     except PlanningError as error:
         supposed = _suppose(operators, abstraction, objects, atoms, goal, heuristic, disproved)
         if supposed is None:

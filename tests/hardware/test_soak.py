@@ -31,7 +31,7 @@ pytestmark = pytest.mark.realtime
 
 STOPS = (
     "protective-stop", "program-stop", "safeguard-stop", "enabling-stop", "freeze", "mute", "link-drop",
-    "gripper-fault", "gripper-silent",
+    "gripper-fault", "gripper-silent", "gripper-gone",
 )  # fmt: skip
 """What must end the motion."""
 OTHERS = ("slider", "reduced", "late", "object")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from hardware.base import SERVO_PERIOD
+from hardware.emulator.judge import Judge
 from hardware.emulator.server import Emulator
 from hardware.robotiq import Robotiq
 from hardware.stream import Stream
@@ -20,6 +21,7 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from tests import emulators
 from tests.hardware.adversary import KINDS, MOVES, TAKEN, assert_nothing_out_of_limits, attack, starts
+from tests.stalls import never_excused
 
 pytestmark = pytest.mark.realtime
 REFUSED = [kind for kind in KINDS if kind not in MOVES]
@@ -35,6 +37,12 @@ def machine() -> Iterator[Emulator]:
 def wire_of(machine: Emulator) -> list[np.ndarray]:
     """Every setpoint that arrived."""
     return [q for _, q in machine.controller.wire or []]
+
+
+@never_excused()
+def assert_judged_sound(judge: Judge, at_least: int) -> None:
+    assert judge.broken == 0, "; ".join(judge.reasons)
+    assert judge.count >= at_least
 
 
 def swing(stream: Stream, rig: Rig, seconds: float, pause_every: int = 0) -> None:
@@ -74,21 +82,28 @@ def test_a_late_target_is_a_braked_arm_that_goes_on(machine: Emulator) -> None:
 
 @pytest.mark.parametrize("count", [2_000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_no_adversarial_target_shows_on_the_wire(machine: Emulator, count: int) -> None:
+    """A command is one target given to the stream, whether taken or refused: a fifth of them from each of `starts`.
+
+    One in ten is of a kind that may move the arm, for 20 to 200 ms; the others show that nothing of them is sent. The
+    emulator judges what it receives as it comes.
+    """
     rng = np.random.default_rng(0)
     rig = emulators.rig_at(machine.address)
+    judge = machine.controller.judge = Judge(rig.arm)
     with Ur7e(rig, Robotiq(machine.address)) as robot:
         stream, answers = Stream(robot, rig), []
         for start in starts(rig).values():
             travel(stream, start)
-            # Every one that is taken moves the arm for 20 to 200 ms; one in ten keeps it moving.
             kinds = [
                 MOVES[k // 10 % len(MOVES)] if k % 10 == 0 else REFUSED[k % len(REFUSED)] for k in range(count // 5)
             ]
             answers += [attack(stream, rig, kind, rng) for kind in kinds]
         stream.stop()
+    assert_judged_sound(judge, at_least=count // 2)
+    assert_nothing_out_of_limits(wire_of(machine), rig)
+    assert len(answers) == count
     assert count / 20 < answers.count(TAKEN) < count / 2
     assert {"position", "clearance", "floor", "workspace"} < set(answers)
-    assert_nothing_out_of_limits(wire_of(machine), rig)
 
 
 BARE_LOOP = """
@@ -116,6 +131,7 @@ def test_a_stream_keeps_its_limits_and_its_period(
 ) -> None:
     """Limits by what the emulator received; the period by when the link sent, beside a loop that only waits."""
     rig = emulators.rig_at(machine.address)
+    judge = machine.controller.judge = Judge(rig.arm)
     bare, periods, late = [], [], 0
     with Ur7e(rig, Robotiq(machine.address)) as robot:
         # In turns, so that whatever else the machine does befalls both.
@@ -128,6 +144,7 @@ def test_a_stream_keeps_its_limits_and_its_period(
             assert stream.settle(tolerance=5e-3)
             late += stream.late
     # Across the seams of targets as well: an acceleration that jumped there would be a jerk beyond its limit.
+    assert_judged_sound(judge, at_least=round(500 * seconds))
     assert_nothing_out_of_limits(wire_of(machine), rig)
     sent = np.concatenate(periods)
     p50, p99, alone = np.median(sent), np.quantile(sent, 0.99), np.quantile(np.concatenate(bare), 0.99)

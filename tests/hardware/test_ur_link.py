@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import Connected, GripperState, RobotError, StaleError
+from hardware.base import Command, Connected, GripperState, RobotError, StaleError
 from hardware.stream import PIECE, Stream
 from hardware.ur7e import Ur7e
 from hardware.ur_memory import SNAPSHOT, LinkMemory
@@ -116,6 +116,43 @@ def test_a_writer_that_dies_at_any_moment_leaves_a_whole_snapshot() -> None:
     assert seen["time"] > 0
 
 
+def recorded(lab: Lab, driver: Ur7e, limit: tuple[float, ...] | None, goal: JointTarget) -> list[Command]:
+    """What recorders are told while the arm is asked to go to `goal` and to stay there."""
+    commands: list[Command] = []
+    stream = Stream(driver, lab.rig(5.0), recorders=[lambda state, command: commands.append(command)])
+    if limit is not None:
+        stream.limit_effort(limit)
+    for _ in range(2):
+        commands.append(stream.run(goal, 0.5))
+    return commands
+
+
+def assert_recorded_as_sent(lab: Lab, commands: list[Command]) -> None:
+    # Before the first it is where the arm rests.
+    order = {tuple(q): i for i, q in enumerate([lab.rig(5.0).arm.home, *lab.wire()])}
+    rows = [order[tuple(command.sent.arm)] for command in commands]
+    assert rows == sorted(rows)
+
+
+def test_what_is_recorded_as_sent_is_what_went_out_then(lab: Lab) -> None:
+    goal = turned(lab.rig(5.0), 0.3)
+    driver = lab.connect()
+    np.testing.assert_array_equal(driver.last_sent().arm, lab.rig(5.0).arm.home)
+    commands = recorded(lab, driver, None, goal)
+    assert_recorded_as_sent(lab, commands)
+    moving = [c.sent.arm[0] for c in commands if 0.01 < c.sent.arm[0] - lab.rig(5.0).arm.home[0] < 0.29]
+    # A busy machine starves the arm, which rests then; a piece of the way has five recordings.
+    assert len(moving) > 5 and len(set(moving)) > 0.4 * len(moving), "not once for each piece of the way"
+
+
+def test_of_an_arm_that_yields_is_recorded_where_it_was_sent_not_where_it_was_asked_to_be(lab: Lab) -> None:
+    goal = turned(lab.rig(5.0), 0.0)
+    commands = recorded(lab, lab.connect("press"), (20.0, 20.0, 20.0, 6.0, 6.0, 6.0), goal)
+    assert_recorded_as_sent(lab, commands)
+    np.testing.assert_array_equal([c.requested.arm for c in commands], [goal.arm] * len(commands))
+    assert np.abs(commands[-1].sent.arm - goal.arm).max() > 0.02
+
+
 def test_a_link_that_crashes_has_its_program_stopped(lab: Lab) -> None:
     driver = lab.connect("raise")
     with pytest.raises(StaleError, match="code 4"):
@@ -126,6 +163,27 @@ def test_a_link_that_crashes_has_its_program_stopped(lab: Lab) -> None:
 def test_a_stop_is_named_though_its_reason_is_read_after_it(lab: Lab) -> None:
     with pytest.raises(RobotError, match="emergency stop of the system"):
         Stream(lab.connect("stop"), lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 1.0)
+
+
+def test_a_time_that_is_no_number_is_silence(lab: Lab) -> None:
+    rig = lab.rig(0.5)
+    with pytest.raises(StaleError):
+        stream = Stream(lab.connect("no time", freshness=0.5), rig)
+        for _ in range(50):
+            stream.run(turned(rig, 0.05), 0.1)
+
+
+def test_a_speed_that_is_no_number_is_not_moved_at(lab: Lab) -> None:
+    with pytest.raises(RobotError, match="slider stands at nan"):
+        Stream(lab.connect("no fraction"), lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 0.1)
+    assert lab.wire() == []
+
+
+def test_what_the_clients_library_prints_does_not_hold_up_the_setpoints(lab: Lab) -> None:
+    """A pipe takes 64 KiB, sixteen setpoints' worth here."""
+    stream = Stream(lab.connect("chatter"), lab.rig(5.0))
+    stream.run(turned(lab.rig(5.0), 0.05), 0.5)
+    assert wait_for(lambda: len(lab.wire()) >= 250)
 
 
 def test_a_link_that_never_began_leaves_the_others_program_alone(lab: Lab) -> None:

@@ -55,6 +55,12 @@ class RTDEControlInterface:
             time.sleep(60.0)
         if self._count > GOOD and FAULT == "stop":
             told["stopped"] = True
+        if self._count > GOOD and FAULT == "no time":
+            told["time"] = float("nan")
+        if FAULT == "chatter":
+            os.write(1, b"x" * 4095 + b"\n")
+        if self._count > GOOD and FAULT == "press":
+            told["force"] = [0.0, 0.0, 100.0, 0.0, 0.0, 0.0]
         self._log.write(" ".join(map(str, q)) + "\n")
         return True
 

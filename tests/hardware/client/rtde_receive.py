@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 
-from rtde_control import told
+from rtde_control import FAULT, told
 
 Q = [float(x) for x in os.environ["CLIENT_Q"].split()]
 
@@ -18,7 +18,7 @@ class RTDEReceiveInterface:
         return True
 
     def getTimestamp(self) -> float:
-        return time.monotonic()
+        return told.get("time", time.monotonic())
 
     def getActualQ(self) -> list[float]:
         return Q
@@ -27,7 +27,7 @@ class RTDEReceiveInterface:
         return [0.0] * 6
 
     def getActualTCPForce(self) -> list[float]:
-        return [0.0] * 6
+        return told.get("force", [0.0] * 6)
 
     def getRobotMode(self) -> int:
         return 7
@@ -45,7 +45,7 @@ class RTDEReceiveInterface:
         return 1 if "stopped" in told else 2
 
     def getSpeedScaling(self) -> float:
-        return 1.0
+        return float("nan") if FAULT == "no fraction" else 1.0
 
     def getPayload(self) -> object:
         return told["payload"]

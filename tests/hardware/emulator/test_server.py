@@ -26,6 +26,12 @@ def test_only_loopback_is_listened_on(where: str, word: str) -> None:
         Emulator(Controller(KinematicArm(load_rig().arm.home)), where)
 
 
+def test_elsewhere_it_listens_only_where_it_is_told_to() -> None:
+    """An address that is no machine's: it gets as far as the operating system."""
+    with pytest.raises(RobotError, match=r"cannot listen on 192\.0\.2\.1"):
+        Emulator(Controller(KinematicArm(load_rig().arm.home)), "192.0.2.1", anywhere=True)
+
+
 def test_a_taken_port_is_named_and_nothing_stays_open() -> None:
     with emulators.emulated() as emulator:
         with pytest.raises(RobotError, match="30004"):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import subprocess
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 
 from hardware.base import RobotError
 from hardware.emulator.server import Emulator
-from hardware.stream import Stream
+from hardware.stream import Recorder, Stream
 from hardware.ur7e import Ur7e
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
@@ -26,9 +26,11 @@ def swing(stream: Stream, rig: Rig, seconds: float, begin: float = 0.0) -> None:
         stream.run(JointTarget(q, 0.1), 0.02)
 
 
-def during_motion(robot: Ur7e, rig: Rig, happen: Callable[[], object]) -> BaseException:
+def during_motion(
+    robot: Ur7e, rig: Rig, happen: Callable[[], object], recorders: Sequence[Recorder] = ()
+) -> BaseException:
     """What a motion ends with when `happen` happens in the midst of it."""
-    stream = Stream(robot, rig)
+    stream = Stream(robot, rig, recorders=list(recorders))
     swing(stream, rig, 0.5)
     timer = threading.Timer(0.1, happen)
     timer.start()

@@ -12,13 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import ProtectiveStopError, RobotError, SafetyError, StaleError
+from hardware.base import Command, ProtectiveStopError, RobotError, RobotState, SafetyError, StaleError
 from hardware.emulator.controller import SafetyMode
 from hardware.emulator.faults import FAULTS
 from hardware.emulator.server import Emulator
 from hardware.stream import Stream
 from hardware.travel import travel
 from hardware.ur7e import Ur7e
+from resync_robot.core.episode import EpisodeMeta, read_episode
+from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.rig import Rig
 from tests.hardware.ur7e.motions import during_motion, is_still, link_of, swing, wait_for
 
@@ -39,6 +41,8 @@ ROOT = Path(__file__).parents[3]
         ("violation", "VIOLATION"),
         ("safety-fault", "safety system has a fault"),
         ("program-stop", "control program was stopped"),
+        ("local", "control program was stopped"),
+        ("power-off", "control program was stopped"),
     ],
 )
 def test_a_stop_ends_the_motion_and_nothing_resumes_it(
@@ -185,6 +189,23 @@ def test_a_dropped_link_is_one_error_one_upload_and_no_zombie(machine: Emulator,
     assert is_still(machine)
 
 
+def test_a_dropped_link_leaves_a_whole_recording(machine: Emulator, robot: Ur7e, rig: Rig, tmp_path: Path) -> None:
+    meta = EpisodeMeta.of(rig, library_hash="", domain="", scenario="", goal="", seed=0, backend="ur7e")
+    times: list[float] = []
+    with robot, EpisodeWriter(tmp_path / "episode.mcap", meta) as writer:
+
+        def record(state: RobotState, command: Command) -> None:
+            times.append(state.time)
+            writer.joints(state.time, state.q, state.qd, state.opening, command.sent, command.requested)
+
+        during_motion(robot, rig, lambda: machine.call(machine.drop_link), [record])
+        dropped = robot.clock()
+    episode = read_episode(tmp_path / "episode.mcap")
+    assert episode.damage is None
+    np.testing.assert_allclose([joints.time for joints in episode.joints()], times, atol=1e-6)
+    assert len(times) > 20 and times[-1] > dropped - 2.0
+
+
 def test_a_killed_link_process_is_noticed(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
     with robot:
         process = link_of(robot)
@@ -223,12 +244,14 @@ def test_a_killed_client_leaves_the_robot_stopped(machine: Emulator, link_too: b
     try:
         assert process.stdout is not None
         link = int(process.stdout.readline().split()[1])
-        assert machine.controller.program is not None
+        program = machine.controller.program
+        assert program is not None
         process.kill()
         if link_too:
             os.kill(link, signal.SIGKILL)
         assert wait_for(lambda: machine.controller.program is None, 5.0)
         assert wait_for(lambda: is_still(machine), 2.0)
+        assert program.ended.startswith("watchdog" if link_too else "the client ended it")
     finally:
         process.kill()
         process.wait()
@@ -236,7 +259,14 @@ def test_a_killed_client_leaves_the_robot_stopped(machine: Emulator, link_too: b
             process.stdout.close()
 
 
-@pytest.mark.parametrize(("fault", "word"), [("gripper-silent", "emergency stop"), ("gripper-fault", "current is too")])
+@pytest.mark.parametrize(
+    ("fault", "word"),
+    [
+        ("gripper-silent", "emergency stop"),
+        ("gripper-fault", "current is too"),
+        ("gripper-gone", "ended the conversation"),
+    ],
+)
 def test_a_gripper_in_trouble_ends_the_motion(machine: Emulator, robot: Ur7e, rig: Rig, fault: str, word: str) -> None:
     with robot:
         error = during_motion(robot, rig, lambda: machine.call(lambda: FAULTS[fault](machine)))
