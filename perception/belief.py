@@ -89,6 +89,7 @@ class Belief:
         self._at_grasp: dict[Object, np.ndarray] = {}
         self._last_opening = np.inf
         self._ambiguous: Mapping[str, np.ndarray] = {}
+        self._in_part: Mapping[str, np.ndarray] = {}
         self._before_scan = self._memory()
         self.report = ScanReport()
 
@@ -159,12 +160,13 @@ class Belief:
             missing=missing,
         )
         self._ambiguous = ambiguous
+        self._in_part = {name: places for name, places in scene.seen_in_part.items() if name in missing}
         for obj in (*self._blocks, *self._fittings):
             if obj in self._known and obj.name in (*missing, *ambiguous):
                 self._known[obj] = out_of_sight(self._known[obj], moves=obj.type == DRAWER)
         unsettled: list[UnsettledSceneError] = []
         if missing:
-            unsettled.append(MissingObjectsError(missing, self.report.seen, scene.without_depth))
+            unsettled.append(MissingObjectsError(missing, self.report.seen, scene.without_depth, scene.seen_in_part))
         if ambiguous:
             unsettled.append(AmbiguousObjectsError(ambiguous))
         if unsettled:
@@ -172,12 +174,14 @@ class Belief:
         return self.state(robot_features)
 
     def unclear_places(self, most_sigma: float = 0.0012) -> list[Float[np.ndarray, "2"]]:
-        """Where another look may help: things that the last scan saw badly, did not find, or saw more than once.
+        """Where another look may help: what the last scan saw badly, in part or more than once, or did not find.
 
         Args:
             most_sigma: m, of x or y, up to which a thing that was seen is known well enough.
         """
-        places: list[np.ndarray] = [place for seen in self._ambiguous.values() for place in seen]
+        places: list[np.ndarray] = [
+            place for seen in (*self._ambiguous.values(), *self._in_part.values()) for place in seen
+        ]
         for obj in (*self._blocks, *self._fittings):
             known = self._known.get(obj)
             if known is None or obj == self._held:

@@ -12,7 +12,16 @@ import numpy as np
 from jaxtyping import Float
 
 from perception.catalogue import CABINET, Catalogue, Drawer, Lid
-from perception.outline import Rectangle, fit_rectangle, grid, outward_of_rectangle, rough_rectangle, vote
+from perception.outline import (
+    Rectangle,
+    Votes,
+    fit_rectangle,
+    grid,
+    least_seen_edge,
+    outward_of_rectangle,
+    rough_rectangle,
+    vote,
+)
 from perception.patches import UPRIGHT_WITHIN, patches_of, tilt_of
 from perception.pose import HEIGHT_SIGMA, ViewSigma, fitted_covariance, peak_height
 from perception.views import View
@@ -26,6 +35,8 @@ ROUGHLY = 0.03
 """m by which the points of a face may seem larger or smaller than it is, before its edges are fitted."""
 SIZE_TOLERANCE = 0.006
 """m by which fitted extents may differ from those of the catalogue."""
+EDGE_SEEN = 0.5
+"""Share of what lies outside an edge that some picture must show, or the face may go on there."""
 OFF_THE_AXIS = 0.008
 """m by which the middle of a drawer's front may seem to lie beside the cabinet's."""
 ASKEW = np.radians(5.0)
@@ -50,11 +61,27 @@ class Fittings:
         found: by name.
         seen_twice: name -> (n, 2) places in m where something was seen that may be it.
         without_depth: names of those that show in the pictures, where these hold no depth.
+        seen_in_part: name of one not found -> (n, 2) places in m of something that may be it, of which an edge is
+            outside all pictures or hidden in them. Another look there may show all of it.
     """
 
     found: Mapping[str, FittingEstimate]
     seen_twice: Mapping[str, Float[np.ndarray, "n 2"]]
     without_depth: tuple[str, ...]
+    seen_in_part: Mapping[str, Float[np.ndarray, "n 2"]]
+
+
+@dataclass(frozen=True)
+class _Outline:
+    """A level face before its edges are fitted. `rough`: centre (2,), yaw, extents (2,)."""
+
+    votes: Votes
+    rough: tuple[np.ndarray, float, np.ndarray]
+    top_z: float
+
+    @property
+    def whole(self) -> bool:
+        return least_seen_edge(self.votes, self.rough, SIZE_TOLERANCE) >= EDGE_SEEN
 
 
 @dataclass(frozen=True)
@@ -75,12 +102,15 @@ def estimate_fittings(views: Sequence[View], catalogue: Catalogue) -> Fittings:
     """Every lid and drawer whose colour the catalogue has and whose upper faces are seen."""
     index = {names[0]: i for i, names in enumerate(catalogue.look_alikes)}
     without_depth: list[str] = []
+    in_part: dict[str, list[np.ndarray]] = {}
 
     def faces(name: str, of_part: str, extents: tuple[float, float]) -> list[_Face]:
         patches, blind = patches_of(views, index[of_part], catalogue)
         if blind and name not in without_depth:
             without_depth.append(name)
-        fitted = [_fit_face(views, index[of_part], patch, np.array(extents)) for patch in patches]
+        outlines = [_outline(views, index[of_part], patch, np.array(extents)) for patch in patches]
+        in_part.setdefault(name, []).extend(o.rough[0] for o in outlines if o is not None and not o.whole)
+        fitted = [_fit_face(o, np.array(extents)) for o in outlines if o is not None and o.whole]
         return [face for face in fitted if face is not None]
 
     estimates: dict[str, list[FittingEstimate]] = {}
@@ -95,7 +125,8 @@ def estimate_fittings(views: Sequence[View], catalogue: Catalogue) -> Fittings:
         estimates[name] = [e for e in pairs if e is not None]
     found = {name: seen[0] for name, seen in estimates.items() if len(seen) == 1}
     seen_twice = {name: np.array([e.features[:2] for e in seen]) for name, seen in estimates.items() if len(seen) > 1}
-    return Fittings(found, seen_twice, tuple(without_depth))
+    seen_in_part = {name: np.array(at) for name, at in in_part.items() if at and not estimates[name]}
+    return Fittings(found, seen_twice, tuple(without_depth), seen_in_part)
 
 
 def _lid(name: str, lid: Lid, face: _Face) -> FittingEstimate:
@@ -135,12 +166,12 @@ def _drawer(name: str, drawer: Drawer, front: _Face, cabinet: _Face, table_z: fl
     return FittingEstimate(name, features, covariance)
 
 
-def _fit_face(views: Sequence[View], index: int, patch: np.ndarray, extents: np.ndarray) -> _Face | None:
-    """The upper face in a patch of points, or None where none of these extents (2,) shows."""
+def _outline(views: Sequence[View], index: int, patch: np.ndarray, extents: np.ndarray) -> _Outline | None:
+    """The upper face in a patch of points; None where it is tilted, or too large for these extents (2,)."""
     top_z = peak_height(patch[:, 2])
     top = patch[np.abs(patch[:, 2] - top_z) < 0.005]
     centre, yaw, rough = rough_rectangle(top[:, :2])
-    if np.abs(np.sort(rough) - np.sort(extents)).max() > ROUGHLY or tilt_of(top) > UPRIGHT_WITHIN:
+    if (np.sort(rough) - np.sort(extents)).max() > ROUGHLY or tilt_of(top) > UPRIGHT_WITHIN:
         return None
 
     def of_face(view: View) -> np.ndarray:
@@ -149,10 +180,17 @@ def _fit_face(views: Sequence[View], index: int, patch: np.ndarray, extents: np.
     half = float(np.hypot(*extents)) / 2 + 0.015
     cells = grid(centre, half, max(half / 75, 0.001))
     votes = vote(views, cells, top_z, of_face, outward_of_rectangle(cells, centre, yaw, rough))
-    r = fit_rectangle(votes, (centre, yaw, rough))
+    return _Outline(votes, (centre, yaw, rough), top_z)
+
+
+def _fit_face(outline: _Outline, extents: np.ndarray) -> _Face | None:
+    """The face of an outline, or None where it does not have these extents (2,)."""
+    if (np.sort(extents) - np.sort(outline.rough[2])).max() > ROUGHLY:
+        return None
+    r = fit_rectangle(outline.votes, outline.rough)
     measured = np.array([r.width, r.length])
     off, off_turned = (float(np.abs(measured - e).max()) for e in (extents, extents[::-1]))
     if min(off, off_turned) > SIZE_TOLERANCE or r.misfit > 0.35:
         return None
     yaw = r.yaw if off <= off_turned or extents[0] == extents[1] else float(spatial.wrap(r.yaw + np.pi / 2, np.pi))
-    return _Face(r, yaw, top_z, votes.views)
+    return _Face(r, yaw, outline.top_z, outline.votes.views)

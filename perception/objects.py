@@ -24,7 +24,8 @@ from resync_robot.core.world import CameraFrame
 class SceneEstimate:
     """What one scan says. `blocks` by name; `glimpses`: blocks of which only sides are seen; `surplus`: blocks beyond
     those that there are of their colour; `without_depth`: names of things whose pixels hold no depth; `fittings`: lids
-    and drawers by name; `seen_twice`: name of a lid or drawer -> (n, 2) places in m, where none is chosen."""
+    and drawers by name; `seen_twice`: name of a lid or drawer -> (n, 2) places in m, where none is chosen;
+    `seen_in_part`: the same for one that was not found, and may be what the pictures show only a part of."""
 
     box: BoxEstimate
     blocks: Mapping[str, BlockEstimate]
@@ -33,6 +34,7 @@ class SceneEstimate:
     without_depth: tuple[str, ...] = ()
     fittings: Mapping[str, FittingEstimate] = field(default_factory=dict)
     seen_twice: Mapping[str, Float[np.ndarray, "n 2"]] = field(default_factory=dict)
+    seen_in_part: Mapping[str, Float[np.ndarray, "n 2"]] = field(default_factory=dict)
 
 
 def catalogue_of(rig: Rig) -> Catalogue:
@@ -80,4 +82,5 @@ class SceneEstimator:
             (*blocks.without_depth, *fittings.without_depth),
             fittings.found,
             fittings.seen_twice,
+            fittings.seen_in_part,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -95,6 +96,7 @@ class Table:
         tenths = np.clip(depth.reshape(shape) / CameraFrame.DEPTH_UNIT_M + 0.5, 0, 65535).astype(np.uint16)
         return CameraFrame("wrist", colour.reshape(*shape, 3), tenths, k, pose, 0.0)
 
-    def scan(self) -> list[CameraFrame]:
+    def scan(self, configurations: Sequence[np.ndarray] | None = None) -> list[CameraFrame]:
+        """The whole round, or pictures from these joint positions."""
         at: list[np.ndarray] = []
-        return Scan(self._rig)(at.append, lambda: self.picture(at[-1]))
+        return Scan(self._rig)(at.append, lambda: self.picture(at[-1]), configurations)
