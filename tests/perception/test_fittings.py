@@ -14,7 +14,7 @@ from perception.catalogue import Catalogue, Lid
 from perception.fittings import FittingEstimate
 from perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError
 from perception.objects import SceneEstimate, SceneEstimator
-from perception.outline import outward_of_rectangle
+from perception.outline import Votes, grid, least_seen_edge, outward_of_rectangle
 from perception.scan import Scan
 from resync_robot.core import spatial
 from resync_robot.core.errors import ConfigError, UnknownNameError
@@ -200,6 +200,21 @@ def test_just_outside_an_edge_outward_is_the_normal_of_that_edge(
     places = np.array([[width / 2 + 1e-4, along * length / 2], [along * width / 2, -length / 2 - 1e-4]])
     outward = outward_of_rectangle(places @ turn.T, np.zeros(2), yaw, np.array(extents))
     np.testing.assert_allclose(outward @ turn, [[1, 0], [0, -1]], atol=1e-9)
+
+
+@given(yaw=st.floats(-np.pi / 4, np.pi / 4), edge=st.integers(0, 3))
+def test_an_edge_is_seen_as_far_as_what_lies_outside_it_is(yaw: float, edge: int) -> None:
+    centre, extents, within = np.array([0.4, -0.2]), np.array([0.10, 0.04]), 0.006
+    cells = grid(centre, 0.08, 0.001)
+    beyond = (cells - centre) @ [np.cos(yaw + edge * np.pi / 2), np.sin(yaw + edge * np.pi / 2)] - extents[edge % 2] / 2
+
+    def least(unseen: np.ndarray) -> float:
+        votes = Votes(cells, np.zeros(len(cells)), np.where(unseen, 0.0, 1.0), 1)
+        return least_seen_edge(votes, (centre, yaw, extents), within)
+
+    assert least(beyond > within + 1e-6) == 1
+    assert least(beyond > within / 2) == pytest.approx(0.5, abs=0.2)
+    assert least(beyond > -1e-6) == 0
 
 
 @pytest.mark.slow
