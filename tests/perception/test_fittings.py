@@ -154,8 +154,9 @@ def test_the_belief_holds_them_and_says_what_is_not_clear(rig: Rig, lidded: Scen
     gone = replace(lidded, fittings={"lid": lidded.fittings["lid"]})
     with pytest.raises(MissingObjectsError, match="did not find drawer"):
         belief.update(gone, ROBOT_FEATURES)
-    rough = belief.state(ROBOT_FEATURES).covariance(drawer)
-    assert rough[7, 7] > 100 * state.covariance(drawer)[7, 7] and np.linalg.eigvalsh(rough).min() > -1e-12
+    rough, fine = belief.state(ROBOT_FEATURES).covariance(drawer), state.covariance(drawer)
+    assert rough is not None and fine is not None
+    assert rough[7, 7] > 100 * fine[7, 7] and np.linalg.eigvalsh(rough).min() > -1e-12
     assert len(belief.unclear_places()) >= 1
     places = np.array([[0.45, 0.0], [0.46, -0.3]])
     with pytest.raises(AmbiguousObjectsError, match="2 things that may be lid"):
@@ -243,7 +244,7 @@ def test_at_the_noise_of_a_d435i_they_are_found_and_the_covariance_holds(rig: Ri
                 continue
             off = estimate.features[:3] - centre
             askew = abs(float(spatial.wrap(yaw_of(estimate) - heading, period)))
-            beyond = off[:2] @ np.linalg.solve(estimate.covariance[:2, :2], off[:2]) > 5.99
+            beyond = float(off[:2] @ np.linalg.solve(estimate.covariance[:2, :2], off[:2]) > 5.99)
             slid = abs(estimate.features[7] - opening) if name == "drawer" else 0.0
             errors[name].append((float(np.linalg.norm(off)), askew, beyond, slid))
     assert len(errors["lid"]) >= 23 and len(errors["drawer"]) >= 23
