@@ -78,6 +78,11 @@ class Outline:
     def error_px(self) -> float:
         return float(np.linalg.norm(self.shift_px))
 
+    @property
+    def at_the_limit(self) -> bool:
+        """Does the best shift lie on the border of the search, so that the true one may be larger?"""
+        return bool(np.abs(self.shift_px).max() >= SEARCH_PX)
+
 
 def compare_outline(colour: UInt8[np.ndarray, "h w 3"], robot: Bool[np.ndarray, "h w"]) -> Outline | None:
     """Find the robot's outline among the edges of a picture; None where too little of the robot is in sight.

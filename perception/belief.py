@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from perception.grasp import BENEATH, Grasp
 from perception.known import (
     LIFTED,
     Known,
@@ -20,20 +22,13 @@ from perception.known import (
 )
 from perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError, name_blocks
 from perception.objects import SceneEstimate, SceneEstimator
-from perception.pose import inside_box, upright_covariance, yaw_variance_of
-from resync_robot.core import spatial
+from perception.pose import inside_box
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
+from resync_robot.core.vocabulary import BLOCK, DRAWER, LID
 from resync_robot.core.world import CameraFrame
-
-GRIP_SLACK = 0.008
-"""m by which the opening may differ from a block's width while the pads hold it."""
-AT_TIP = (0.030, 0.020, 0.040)
-"""How far a block's centre may lie from the tips, along x, y and z of the tool, when the pads close on it, m."""
-BENEATH = 0.045
-"""Horizontal distance from a block within which another one counts as under it, m."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +45,19 @@ class ScanReport:
 
 
 class Belief:
-    """Keeps an estimated state of box and blocks.
+    """Keeps an estimated state of box, blocks, lids and drawers.
 
-    A block that the pads have closed on rides with the tips; the jaws centre it and turn it flush, so its place
-    between them is known better than before. Sizes are averaged over the scans; poses are those of the last one.
+    A block that the pads have closed on rides with the tips. Sizes are averaged over the scans; poses are those of the
+    last one.
 
     Args:
         robot_object, box_object, block_objects: whose features to estimate; blocks by the catalogue's names.
         rig: whose hand and cameras.
         estimator: SceneEstimator(rig) by default.
+        fittings: lids and drawers, by the catalogue's names.
 
     Raises:
-        UnknownNameError: a block that the catalogue does not have.
+        UnknownNameError: a block, a lid or a drawer that the catalogue does not have, or has no colour of.
     """
 
     def __init__(
@@ -71,31 +67,32 @@ class Belief:
         block_objects: Sequence[Object],
         rig: Rig,
         estimator: SceneEstimator | None = None,
+        fittings: Sequence[Object] = (),
     ) -> None:
         self._estimator = estimator or SceneEstimator(rig)
         self._robot, self._box, self._blocks = robot_object, box_object, tuple(block_objects)
-        names = tuple(self._estimator.catalogue.hues)
-        for block in self._blocks:
-            if block.name not in names:
-                raise UnknownNameError("block of the catalogue", block.name, names)
+        self._fittings = tuple(fittings)
+        catalogue = self._estimator.catalogue
+        names = {BLOCK: catalogue.blocks, LID: catalogue.coloured_lids, DRAWER: catalogue.coloured_drawers}
+        for obj in (*self._blocks, *self._fittings):
+            if obj.name not in names[obj.type]:
+                raise UnknownNameError(f"{obj.type.name} of the catalogue", obj.name, names[obj.type])
         self._known: dict[Object, Known] = {}
-        self._held: Object | None = None
-        self._tip_T_held = np.eye(4)
-        self._at_grasp: dict[Object, np.ndarray] = {}
-        self._last_opening = np.inf
+        self._grasp = Grasp(self._blocks)
         self._ambiguous: Mapping[str, np.ndarray] = {}
+        self._in_part: Mapping[str, np.ndarray] = {}
         self._before_scan = self._memory()
         self.report = ScanReport()
 
     @property
     def held(self) -> Object | None:
         """The block between the pads, as believed."""
-        return self._held
+        return self._grasp.held
 
     @property
     def grasp_is_certain(self) -> bool:
         """Was the held block alone between the pads? Of two stacked ones either may have come along, or both."""
-        return self._held is None or not self._stacked_at_grasp(self._held)
+        return self._grasp.is_certain
 
     def update_from_scan(
         self, frames: Sequence[CameraFrame], robot_features: Float[np.ndarray, "8"], again: bool = False
@@ -115,46 +112,52 @@ class Belief:
     def update(self, scene: SceneEstimate, robot_features: Float[np.ndarray, "8"], again: bool = False) -> State:
         """Take in an estimate of the scene. Raises UnsettledSceneError as `update_from_scan` does."""
         if again:
-            known, self._held, self._tip_T_held, self._at_grasp = self._before_scan
-            self._known = dict(known)
+            known, grasp = self._before_scan
+            self._known, self._grasp = dict(known), copy.copy(grasp)
         else:
             self._before_scan = self._memory()
-        self._follow_hand(robot_features)
+        self._grasp.follow(self._known, robot_features)
         places = {b.name: k.features[:2] for b, k in self._known.items() if b in self._blocks}
-        held = self._held.name if self._held else None
+        held = self.held.name if self.held else None
         scene, ambiguous = name_blocks(
             scene, self._estimator.catalogue.look_alikes, [b.name for b in self._blocks], held, places
         )
         box_sizes, scans = averaged_sizes(self._known.get(self._box), scene.box.features[7:])
         self._known[self._box] = Known(np.array([*scene.box.features[:7], *box_sizes]), scene.box.covariance, scans)
         seen = [b for b in self._blocks if b.name in scene.blocks]
-        if self._held is not None and self._held in seen:
-            self._change_grasp(seen, robot_features)
+        if self.held in seen:
+            self._grasp.correct(self._known, seen, robot_features)
         for block in seen:
             self._known[block] = measured(self._known.get(block), scene.blocks[block.name])
-        unseen = [b for b in self._blocks if b not in seen and b != self._held and b.name not in ambiguous]
+        fitted = [o for o in self._fittings if o.name in scene.fittings]
+        for obj in fitted:
+            self._known[obj] = Known(scene.fittings[obj.name].features, scene.fittings[obj.name].covariance)
+        ambiguous |= {o.name: scene.seen_twice[o.name] for o in self._fittings if o.name in scene.seen_twice}
+        unseen = [b for b in self._blocks if b not in seen and b != self.held and b.name not in ambiguous]
         # From above down, as last believed: what hides under one block may hide another in its turn.
         unseen.sort(key=lambda b: -self._known[b].features[2] if b in self._known else 0.0)
         hidden: list[Object] = []
         for block in unseen:
             if self._hide(block, [*seen, *hidden], scene):
                 hidden.append(block)
-        missing = tuple(b.name for b in unseen if b not in hidden)
+        lost = [o for o in self._fittings if o not in fitted and o.name not in ambiguous]
+        missing = tuple(o.name for o in (*unseen, *lost) if o not in hidden)
         self.report = ScanReport(
-            seen=tuple(b.name for b in seen),
+            seen=tuple(o.name for o in (*seen, *fitted)),
             hidden=tuple(b.name for b in hidden),
-            held=(self._held.name,) if self._held else (),
+            held=(self.held.name,) if self.held else (),
             tipped=tuple(b.name for b in seen if not scene.blocks[b.name].upright),
             ambiguous=tuple(ambiguous),
             missing=missing,
         )
         self._ambiguous = ambiguous
-        for block in self._blocks:
-            if block in self._known and block.name in (*missing, *ambiguous):
-                self._known[block] = out_of_sight(self._known[block])
+        self._in_part = {name: places for name, places in scene.seen_in_part.items() if name in missing}
+        for obj in (*self._blocks, *self._fittings):
+            if obj in self._known and obj.name in (*missing, *ambiguous):
+                self._known[obj] = out_of_sight(self._known[obj], moves=obj.type == DRAWER)
         unsettled: list[UnsettledSceneError] = []
         if missing:
-            unsettled.append(MissingObjectsError(missing, self.report.seen, scene.without_depth))
+            unsettled.append(MissingObjectsError(missing, self.report.seen, scene.without_depth, scene.seen_in_part))
         if ambiguous:
             unsettled.append(AmbiguousObjectsError(ambiguous))
         if unsettled:
@@ -162,18 +165,20 @@ class Belief:
         return self.state(robot_features)
 
     def unclear_places(self, most_sigma: float = 0.0012) -> list[Float[np.ndarray, "2"]]:
-        """Where another look may help: blocks that the last scan saw badly, did not find, or saw more than once.
+        """Where another look may help: what the last scan saw badly, in part or more than once, or did not find.
 
         Args:
-            most_sigma: m, of x or y, up to which a block that was seen is known well enough.
+            most_sigma: m, of x or y, up to which a thing that was seen is known well enough.
         """
-        places: list[np.ndarray] = [place for seen in self._ambiguous.values() for place in seen]
-        for block in self._blocks:
-            known = self._known.get(block)
-            if known is None or block == self._held:
+        places: list[np.ndarray] = [
+            place for seen in (*self._ambiguous.values(), *self._in_part.values()) for place in seen
+        ]
+        for obj in (*self._blocks, *self._fittings):
+            known = self._known.get(obj)
+            if known is None or obj == self.held:
                 continue
-            badly = block.name in self.report.seen and np.diag(known.covariance)[:2].max() > most_sigma**2
-            if badly or block.name in self.report.missing:
+            badly = obj.name in self.report.seen and np.diag(known.covariance)[:2].max() > most_sigma**2
+            if badly or obj.name in self.report.missing:
                 places.append(known.features[:2])
         return places
 
@@ -187,7 +192,7 @@ class Belief:
         """
         if self._box not in self._known:
             raise PerceptionError("no scan was made yet, so nothing is known of the scene", "scan before asking")
-        self._follow_hand(robot_features)
+        self._grasp.follow(self._known, robot_features)
         features = {o: k.features for o, k in self._known.items()}
         covariance = {o: k.covariance for o, k in self._known.items()}
         return State({**features, self._robot: np.asarray(robot_features)}, covariance)
@@ -196,99 +201,15 @@ class Belief:
         """The pads hold `block`: from now on it rides with the tips. Raises UnknownNameError if it was never seen."""
         if block not in self._known:
             raise UnknownNameError("block seen so far", block.name, [o.name for o in self._known if o in self._blocks])
-        world_T_tip = spatial.pose_from_features(np.asarray(robot_features)[:7])
-        tip_T_world = spatial.inverse(world_T_tip)
-        self._at_grasp = {
-            b: tip_T_world @ spatial.pose_from_features(self._known[b].features[:7])
-            for b in self._blocks
-            if b in self._known
-        }
-        self._hold(block, world_T_tip)
-
-    def _hold(self, block: Object, world_T_tip: np.ndarray) -> None:
-        tip_T_block = self._at_grasp[block].copy()
-        # The jaws push the block to their middle and turn its faces flush with the pads.
-        tip_T_block[1, 3] = 0.0
-        yaw = float(np.arctan2(tip_T_block[1, 0], tip_T_block[0, 0]))
-        askew = float(spatial.wrap(yaw, np.pi / 2))
-        if abs(askew) < np.radians(20):
-            tip_T_block[:3, :3] = spatial.rotation_about("z", -askew) @ tip_T_block[:3, :3]
-        self._held, self._tip_T_held = block, tip_T_block
-        self._ride(world_T_tip)
+        self._grasp.attach(self._known, block, robot_features)
 
     def release(self) -> None:
         """The pads hold nothing any more; the block is believed where they left it."""
-        self._held = None
+        self._grasp.release()
 
-    def _change_grasp(self, seen: Sequence[Object], robot_features: np.ndarray) -> None:
-        """What the hand was believed to hold lies on the table: it lifted the block stacked with that, or nothing."""
-        dropped = self._held
-        self.release()
-        if dropped is None:
-            return
-        for block in self._stacked_at_grasp(dropped):
-            if (
-                block not in seen
-                and abs(float(robot_features[7]) - self._known[block].features[7:9].max()) < GRIP_SLACK
-            ):
-                self._hold(block, spatial.pose_from_features(np.asarray(robot_features)[:7]))
-                return
-
-    def _stacked_at_grasp(self, held: Object) -> list[Object]:
-        """The blocks that stood on or under `held` when the pads closed, nearest to the tips first."""
-        place = self._at_grasp.get(held)
-        if place is None:
-            return []
-        near = [
-            (abs(other[2, 3]), block)
-            for block, other in self._at_grasp.items()
-            if block != held and np.hypot(*(other[:2, 3] - place[:2, 3])) < BENEATH
-        ]
-        return [block for _, block in sorted(near)]
-
-    def _follow_hand(self, robot_features: Float[np.ndarray, "8"]) -> None:
-        features = np.asarray(robot_features)
-        opening = float(features[7])
-        world_T_tip = spatial.pose_from_features(features[:7])
-        if self._held is not None:
-            width = self._known[self._held].features[7:9].max()
-            if abs(opening - width) > GRIP_SLACK + 0.004:
-                self.release()
-            else:
-                self._ride(world_T_tip)
-        elif opening <= self._last_opening + 1e-4:
-            block = self._between_pads(world_T_tip, opening)
-            if block is not None:
-                self.attach(block, features)
-        self._last_opening = opening
-
-    def _between_pads(self, world_T_tip: np.ndarray, opening: float) -> Object | None:
-        """The block at the tips; of two stacked ones the nearer."""
-        tip_T_world = spatial.inverse(world_T_tip)
-        found: list[tuple[float, Object]] = []
-        for block in self._blocks:
-            if block not in self._known:
-                continue
-            features = self._known[block].features
-            place = np.abs(tip_T_world[:3, :3] @ features[:3] + tip_T_world[:3, 3])
-            if abs(opening - features[7:9].max()) < GRIP_SLACK and np.all(place < AT_TIP):
-                found.append((float(place[2]), block))
-        return min(found)[1] if found else None
-
-    def _ride(self, world_T_tip: np.ndarray) -> None:
-        if self._held is None:
-            return
-        known = self._known[self._held]
-        pose = spatial.features_from_pose(world_T_tip @ self._tip_T_held)
-        covariance = known.covariance.copy()
-        covariance[:7, :7] = upright_covariance(np.diag(covariance)[:3], yaw_variance_of(covariance), pose[3:7])
-        self._known[self._held] = replace(
-            known, features=np.concatenate([pose, known.features[7:]]), covariance=covariance
-        )
-
-    def _memory(self) -> tuple[dict[Object, Known], Object | None, np.ndarray, dict[Object, np.ndarray]]:
+    def _memory(self) -> tuple[dict[Object, Known], Grasp]:
         """What a scan may change and a better look at the same scene must find as it was."""
-        return dict(self._known), self._held, self._tip_T_held, self._at_grasp
+        return dict(self._known), copy.copy(self._grasp)
 
     def _hide(self, block: Object, covers: Sequence[Object], scene: SceneEstimate) -> bool:
         """Is a block that was not found plausibly under another one? If so, its estimate is brought up to date."""

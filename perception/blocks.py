@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from perception.catalogue import Catalogue
 from perception.outline import Rectangle, fit_rectangle, grid, outward_of_face, rough_rectangle, vote
+from perception.patches import LEAST_POINTS, UPRIGHT_WITHIN, patches_of, tilt_of, without_stragglers
 from perception.pose import (
     HEIGHT_SIGMA,
     BoxEstimate,
@@ -25,7 +26,7 @@ from perception.pose import (
     tie_height,
     upright_covariance,
 )
-from perception.views import View, gather
+from perception.views import View
 from resync_robot.core import spatial
 
 BLOCK_SIGMA = ViewSigma(place=0.00118, yaw=0.0078)
@@ -38,15 +39,10 @@ TOUCHING_SIGMA, SEAM_SIGMA = ViewSigma(place=0.0, yaw=0.004), ViewSigma(place=0.
 """What that adds where the colours tell the two apart, and where they do not."""
 TYPICAL_HEIGHT = 0.045
 COVERED_WITHIN = 0.040
-UPRIGHT_WITHIN = np.radians(8.0)
-"""Tilt of the top face beyond which a block does not stand upright; noise alone gives 2-3 degrees."""
 OBLONG = 1.4
 """Length over width from which a patch is no longer one square block."""
 SEAM = 0.003
 """m on either side of the line between two touching blocks of a colour, where no view tells whose a cell is."""
-LEAST_POINTS = 40
-SHOWS = 400
-"""Pixels of a mask, over all pictures, from which something is surely there."""
 
 
 @dataclass(frozen=True)
@@ -100,12 +96,12 @@ def estimate_blocks(views: Sequence[View], catalogue: Catalogue, box: BoxEstimat
     surplus: list[BlockEstimate] = []
     without_depth: list[str] = []
     patches: dict[str, list[np.ndarray]] = {}
-    for index, names in enumerate(catalogue.look_alikes):
-        masks = [v.valid & (v.labels == index) & _on_the_table(v, catalogue) for v in views]
-        points, _ = gather(views, masks)
-        if not len(points) and sum(int(((v.labels == index) & ~v.hidden).sum()) for v in views) >= SHOWS:
+    groups = [(i, names) for i, names in enumerate(catalogue.look_alikes) if names[0] in catalogue.blocks]
+    for index, names in groups:
+        whole, blind = patches_of(views, index, catalogue)
+        if blind:
             without_depth += names
-        pieces = [p for c in _patches(points) for p in (_squares(c, catalogue) if len(names) > 1 else [c])]
+        pieces = [p for c in whole for p in (_squares(c, catalogue) if len(names) > 1 else [c])]
         centres = [_middle(p) for p in pieces]
         estimates = []
         for i, piece in enumerate(pieces):
@@ -126,7 +122,7 @@ def estimate_blocks(views: Sequence[View], catalogue: Catalogue, box: BoxEstimat
         # Under another block only a rim of the top face shows, or a side that looks like one: no measurement.
         if any(_covers(other, block) for other in found.values()):
             glimpses[name] = Glimpse(name, found.pop(name).features[:2])
-    for names in catalogue.look_alikes:
+    for _, names in groups:
         missing = [n for n in names if n not in found and n not in glimpses]
         # A tower of one colour shows one top face: what is not seen elsewhere may be below it.
         towers = [b.features[:2] for b in found.values() if b.stacked]
@@ -187,7 +183,7 @@ def _block(
     if on_top.sum() < 60 or on_top.mean() < 0.3:
         return None
     top = patch[on_top]
-    centre, yaw, extents = rough_rectangle(_without_stragglers(top[:, :2]))
+    centre, yaw, extents = rough_rectangle(without_stragglers(top[:, :2]))
     least, most = catalogue.block_width
     if extents.max() < least * 0.6 or extents.max() > most * 1.4:
         return None
@@ -204,7 +200,7 @@ def _block(
     ground = catalogue.table_z
     if box is not None and inside_box(np.array([r.x, r.y]), box.features):
         ground += catalogue.floor_thickness
-    tilt = _tilt(top)
+    tilt = tilt_of(top)
     height = top_z - ground
     low, high = catalogue.block_height
     # Of a tower only the whole height is seen: its blocks share it.
@@ -239,31 +235,9 @@ def _nearer_to(cells: np.ndarray, own: np.ndarray, others: Sequence[np.ndarray])
     return foreign
 
 
-def _on_the_table(view: View, catalogue: Catalogue) -> np.ndarray:
-    z = view.points[..., 2] - catalogue.table_z
-    return (z > 0.008) & (z < 0.26)
-
-
-def _patches(points: np.ndarray, step: float = 0.006) -> list[np.ndarray]:
-    """The points of every connected patch seen from above, the largest first, without stray ones."""
-    if len(points) < LEAST_POINTS:
-        return []
-    origin = points[:, :2].min(axis=0) - step
-    cell = ((points[:, :2] - origin) / step).astype(int)
-    shape = cell.max(axis=0) + 2
-    count = np.zeros(shape, dtype=np.int32)
-    np.add.at(count, (cell[:, 0], cell[:, 1]), 1)
-    _, labels = cv2.connectedComponents((count >= 2).astype(np.uint8), connectivity=8)
-    of_point = labels[cell[:, 0], cell[:, 1]]
-    sizes = np.bincount(of_point)
-    sizes[0] = 0
-    order = [int(i) for i in np.argsort(-sizes) if sizes[i] >= LEAST_POINTS]
-    return [points[of_point == i] for i in order]
-
-
 def _squares(patch: np.ndarray, catalogue: Catalogue) -> list[np.ndarray]:
     """A patch that is too long for one square block, cut across until its pieces are not."""
-    xy = _without_stragglers(patch[:, :2])
+    xy = without_stragglers(patch[:, :2])
     rectangle = cv2.minAreaRect(xy.astype(np.float32))
     long, short = max(rectangle[1]), min(rectangle[1])
     if long < max(OBLONG * short, 2 * catalogue.block_width[0]) or short < 0.6 * catalogue.block_width[0]:
@@ -283,16 +257,4 @@ def _squares(patch: np.ndarray, catalogue: Catalogue) -> list[np.ndarray]:
 
 def _middle(patch: np.ndarray) -> np.ndarray:
     """(2,) of the least rectangle around a patch."""
-    return rough_rectangle(_without_stragglers(patch[:, :2]))[0]
-
-
-def _without_stragglers(xy: np.ndarray) -> np.ndarray:
-    away = np.linalg.norm(xy - np.median(xy, axis=0), axis=1)
-    return xy[away <= np.percentile(away, 97)]
-
-
-def _tilt(top: np.ndarray) -> float:
-    """Angle of the plane through points against the horizontal, rad."""
-    centred = top - top.mean(axis=0)
-    a, b = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
-    return float(np.arctan(np.hypot(a, b)))
+    return rough_rectangle(without_stragglers(patch[:, :2]))[0]

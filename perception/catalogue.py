@@ -1,7 +1,7 @@
 """What is known about the things on the table before looking: colours, ranges of sizes, nominal dimensions.
 
 The ranges are what perception accepts, a little wider than what the factory promises; the true size of a block and
-of the box is measured. Lengths in m.
+of the box is measured, a lid and a drawer have the size that stands here. Lengths in m.
 """
 
 from __future__ import annotations
@@ -10,15 +10,45 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from resync_robot.core.errors import ConfigError
+
+CABINET = "_cabinet"
+"""Ends the name under which the colour of a drawer's cabinet stands in `hues`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lid:
+    """A flat plate with a knob. `size`: full extents along x, y, z, the knob not counted."""
+
+    size: tuple[float, float, float] = (0.33, 0.33, 0.012)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawer:
+    """A drawer that slides out of its cabinet along x.
+
+    Attributes:
+        front, cabinet: full extents along x, y, z. Between the two, an open drawer lies lower than its front.
+        travel: the widest opening.
+    """
+
+    front: tuple[float, float, float] = (0.012, 0.14, 0.060)
+    cabinet: tuple[float, float, float] = (0.10, 0.14, 0.070)
+    travel: float = 0.08
+
 
 @dataclass(frozen=True, kw_only=True)
 class Catalogue:
-    """One kind of block in several colours, and one kind of open box, on a table."""
+    """One kind of block in several colours, and one kind of open box, on a table; maybe lids and drawers.
+
+    Raises:
+        ConfigError: a lid or a drawer that looks like something else, or a drawer without a colour for its cabinet.
+    """
 
     hues: Mapping[str, float] = field(
         default_factory=lambda: MappingProxyType({"b0": 0.00, "b1": 0.60, "b2": 0.14, "b3": 0.36})
     )
-    """Hue of each block by its name, in [0, 1): red, blue, yellow, green. Several blocks may have the same."""
+    """Hue of each thing by its name, in [0, 1): red, blue, yellow, green. Several blocks may have the same."""
     hue_tolerance: float = 0.06
     least_saturation: float = 0.30
     least_value: float = 0.15
@@ -37,9 +67,43 @@ class Catalogue:
     """Height of the box's rim above the table."""
     box_inner: tuple[float, float] = (0.24, 0.36)
 
+    lids: Mapping[str, Lid] = field(default_factory=lambda: MappingProxyType({"lid": Lid()}))
+    drawers: Mapping[str, Drawer] = field(default_factory=lambda: MappingProxyType({"drawer": Drawer()}))
+    """Each looked for where `hues` has its name, a drawer's cabinet under the name that ends in `CABINET`."""
+
+    def __post_init__(self) -> None:
+        for name in self.drawers:
+            if (name in self.hues) != (name + CABINET in self.hues):
+                raise ConfigError(
+                    f"of the drawer '{name}' only one colour is known; its front and its cabinet need one each",
+                    f"give both {name} and {name}{CABINET} a line under [hues] of the rig file",
+                )
+        for names in self.look_alikes:
+            if len(names) > 1 and not set(names) <= set(self.blocks):
+                raise ConfigError(
+                    f"{' and '.join(names)} have the same hue, {self.hues[names[0]]:g}; only blocks may look alike",
+                    "change one of them under [hues] of the rig file",
+                )
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Names in `hues` that are those of blocks."""
+        others = {*self.lids, *self.drawers, *(name + CABINET for name in self.drawers)}
+        return tuple(name for name in self.hues if name not in others)
+
+    @property
+    def coloured_lids(self) -> tuple[str, ...]:
+        """Names of lids that `hues` has a colour for."""
+        return tuple(name for name in self.lids if name in self.hues)
+
+    @property
+    def coloured_drawers(self) -> tuple[str, ...]:
+        """Names of drawers that `hues` has colours for."""
+        return tuple(name for name in self.drawers if name in self.hues)
+
     @property
     def look_alikes(self) -> tuple[tuple[str, ...], ...]:
-        """Names of blocks, those of one hue together."""
+        """Names of things, those of one hue together."""
         groups: dict[float, list[str]] = {}
         for name, hue in self.hues.items():
             groups.setdefault(hue, []).append(name)

@@ -66,9 +66,13 @@ def measured(before: Known | None, estimate: BlockEstimate) -> Known:
     return Known(features, covariance, scans, height_known)
 
 
-def out_of_sight(known: Known) -> Known:
-    """A block that should have been seen, and was not or more than once: its old place, roughly."""
+def out_of_sight(known: Known, moves: bool = False) -> Known:
+    """A thing that should have been seen, and was not or more than once: its old place, roughly; and its opening, the
+    feature after the pose, where it `moves` like a drawer."""
     covariance = known.covariance.copy()
+    if moves:
+        covariance[7] = covariance[:, 7] = 0.0
+        covariance[7, 7] = max(known.covariance[7, 7], OUT_OF_SIGHT_SIGMA**2)
     place = np.maximum(np.diag(covariance)[:3], [OUT_OF_SIGHT_SIGMA**2, OUT_OF_SIGHT_SIGMA**2, 0.0])
     yaw_variance = max(yaw_variance_of(covariance), OUT_OF_SIGHT_YAW**2)
     covariance[:7, :7] = upright_covariance(place, yaw_variance, known.features[3:7])

@@ -38,16 +38,26 @@ class MissingObjectsError(UnsettledSceneError):
     """A scan did not find everything.
 
     Attributes:
-        names: of the blocks that were neither seen nor plausibly hidden.
+        names: of the things that were neither seen nor plausibly hidden.
         seen: names of those that were.
         without_depth: names of those missing that show in the pictures, where these hold no depth.
+        in_part: name of each one missing that may be what the pictures show only a part of -> (n, 2) where, m.
     """
 
-    def __init__(self, missing: tuple[str, ...], seen: tuple[str, ...], without_depth: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self,
+        missing: tuple[str, ...],
+        seen: tuple[str, ...],
+        without_depth: tuple[str, ...] = (),
+        in_part: Mapping[str, Float[np.ndarray, "n 2"]] | None = None,
+    ) -> None:
         blind = tuple(n for n in missing if n in without_depth)
-        why = f" ({', '.join(blind)} shows in the pictures, but without depth)" if blind else ""
+        self.in_part = {n: places for n, places in (in_part or {}).items() if n in missing}
+        reasons = [f"{', '.join(blind)} shows in the pictures, but without depth"] if blind else []
+        reasons += [f"{n} shows only in part, at {_at(places)} m" for n, places in self.in_part.items()]
+        why = f" ({'; '.join(reasons)})" if reasons else ""
         super().__init__(
-            f"the scan did not find {', '.join(missing)}{why}; it found {', '.join(seen) or 'no block'}",
+            f"the scan did not find {', '.join(missing)}{why}; it found {', '.join(seen) or 'nothing'}",
             "shade it from glare, and keep it 0.2 m from the lens"
             if blind
             else "put it where the wrist camera looks: into the box, or on the table left or right of it",
@@ -57,21 +67,24 @@ class MissingObjectsError(UnsettledSceneError):
 
 
 class AmbiguousObjectsError(UnsettledSceneError):
-    """More blocks of a colour were seen than there are, and nothing says which of them is meant.
+    """More things of a kind were seen than there are, and nothing says which of them is meant.
 
     Attributes:
-        seen: name of each block in question -> (n, 2) where blocks of its colour were seen, m.
+        seen: name of each thing in question -> (n, 2) where such ones were seen, m.
     """
 
     def __init__(self, seen: Mapping[str, Float[np.ndarray, "n 2"]]) -> None:
         words = []
         for name, places in seen.items():
-            where = ", ".join(f"({x:.3f}, {y:.3f})" for x, y in places)
-            words.append(f"{len(places)} blocks that may be {name}, at {where} m")
+            words.append(f"{len(places)} things that may be {name}, at {_at(places)} m")
         super().__init__(
             f"the scan saw {'; '.join(words)}", "take away what is not part of the task, and all else of that colour"
         )
         self.names, self.seen = tuple(seen), seen
+
+
+def _at(places: Float[np.ndarray, "n 2"]) -> str:
+    return ", ".join(f"({x:.3f}, {y:.3f})" for x, y in places)
 
 
 def name_blocks(

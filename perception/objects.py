@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
 
 from perception.blocks import BlockEstimate, Glimpse, estimate_blocks
 from perception.catalogue import Catalogue
+from perception.fittings import FittingEstimate, estimate_fittings
 from perception.pose import BoxEstimate, box_outline, estimate_box
 from perception.register import align_to_box
 from perception.segment import ColourSegmenter, Segmenter
@@ -19,13 +23,18 @@ from resync_robot.core.world import CameraFrame
 @dataclass(frozen=True)
 class SceneEstimate:
     """What one scan says. `blocks` by name; `glimpses`: blocks of which only sides are seen; `surplus`: blocks beyond
-    those that there are of their colour; `without_depth`: names of blocks whose pixels hold no depth."""
+    those that there are of their colour; `without_depth`: names of things whose pixels hold no depth; `fittings`: lids
+    and drawers by name; `seen_twice`: name of a lid or drawer -> (n, 2) places in m, where none is chosen;
+    `seen_in_part`: the same for one that was not found, and may be what the pictures show only a part of."""
 
     box: BoxEstimate
     blocks: Mapping[str, BlockEstimate]
     glimpses: Mapping[str, Glimpse]
     surplus: tuple[BlockEstimate, ...] = ()
     without_depth: tuple[str, ...] = ()
+    fittings: Mapping[str, FittingEstimate] = field(default_factory=dict)
+    seen_twice: Mapping[str, Float[np.ndarray, "n 2"]] = field(default_factory=dict)
+    seen_in_part: Mapping[str, Float[np.ndarray, "n 2"]] = field(default_factory=dict)
 
 
 def catalogue_of(rig: Rig) -> Catalogue:
@@ -34,7 +43,7 @@ def catalogue_of(rig: Rig) -> Catalogue:
 
 
 class SceneEstimator:
-    """Estimates box and blocks from a scan.
+    """Estimates box, blocks, lids and drawers from a scan.
 
     Args:
         rig: whose hand to mask, and where the cameras sit.
@@ -64,4 +73,14 @@ class SceneEstimator:
             for v, f in zip(views, frames, strict=True)
         ]
         blocks = estimate_blocks(views, self.catalogue, box)
-        return SceneEstimate(box, blocks.found, blocks.glimpses, blocks.surplus, blocks.without_depth)
+        fittings = estimate_fittings(views, self.catalogue)
+        return SceneEstimate(
+            box,
+            blocks.found,
+            blocks.glimpses,
+            blocks.surplus,
+            (*blocks.without_depth, *fittings.without_depth),
+            fittings.found,
+            fittings.seen_twice,
+            fittings.seen_in_part,
+        )

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
-from perception.views import View
+from perception.views import BACKGROUND, View
 from resync_robot.core import spatial
 
 OCCLUDER = 0.016
@@ -25,6 +25,8 @@ _BLUR = 0.003
 """An edge that seems to be moved by this much is trusted half as much, m."""
 _SOFTNESS = 0.0015
 """Width of the edge of the fitted shape, m."""
+_SEEN = 0.05
+"""Sum of the views' weights from which a cell counts as seen."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ def vote(
         outward: unit vector from the face across its edge nearest to each cell. A view that looks at an edge from
             outside sees the wall below it too, and what of that lies within the tolerance of depth moves the edge
             outwards: the cell is looked up that much further out, and counts for less.
-        by_depth: the label does not tell the face from what is around it, so pixels without depth say nothing.
+        by_depth: the label does not tell the face from what is around it, so pixels without depth say nothing, nor do
+            those of a coloured thing on the face, however thin.
     """
     total, filled = np.zeros(len(cells)), np.zeros(len(cells))
     counted = 0
@@ -79,7 +82,8 @@ def vote(
         measured = view.depth[row, column]
         hidden = view.hidden[row, column] | ((measured > 0) & (measured < depth - OCCLUDER))
         if by_depth:
-            hidden |= measured == 0
+            on_top = (view.labels[row, column] != BACKGROUND) & (measured < depth - BELOW / 2)
+            hidden |= (measured == 0) | on_top
         here = cv2.remap(face.astype(np.float32), u.reshape(square), v.reshape(square), cv2.INTER_LINEAR).ravel()
         weight = np.where(inside & ~hidden, 1.0 / (1.0 + (shift / _BLUR) ** 2), 0.0)
         total += weight
@@ -105,14 +109,28 @@ def outward_of_ring(
     cells: Float[np.ndarray, "n 2"], centre: np.ndarray, yaw: float, inner: np.ndarray, thickness: float
 ) -> Float[np.ndarray, "n 2"]:
     """Directions across the nearer edge of a rectangular ring: to its inside, or to the outside."""
+    away, beyond = _across(cells, centre, yaw, inner + thickness)
+    return away * np.sign(beyond)[:, None]
+
+
+def outward_of_rectangle(
+    cells: Float[np.ndarray, "n 2"], centre: np.ndarray, yaw: float, extents: np.ndarray
+) -> Float[np.ndarray, "n 2"]:
+    """Directions across the nearer edge of a rectangle, which may be much longer than wide."""
+    return _across(cells, centre, yaw, extents)[0]
+
+
+def _across(
+    cells: np.ndarray, centre: np.ndarray, yaw: float, extents: np.ndarray
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+    """Away from the centre along the axis whose edge of a rectangle is nearer, and how far beyond that edge, m."""
     c, s = np.cos(yaw), np.sin(yaw)
     axes = np.array([[c, s], [-s, c]])
     local = (cells - centre) @ axes.T
-    beyond = np.abs(local) - (inner + thickness) / 2
+    beyond = np.abs(local) - extents / 2
     axis = np.argmax(beyond, axis=1)
     rows = np.arange(len(cells))
-    direction = np.sign(local[rows, axis]) * np.sign(beyond[rows, axis])
-    return direction[:, None] * axes[axis]
+    return np.sign(local[rows, axis])[:, None] * axes[axis], beyond[rows, axis]
 
 
 @dataclass(frozen=True)
@@ -141,6 +159,19 @@ def rough_rectangle(points: Float[np.ndarray, "n 2"]) -> tuple[np.ndarray, float
     return np.array([x, y]), float(spatial.wrap(yaw, np.pi / 2)), extents
 
 
+def least_seen_edge(votes: Votes, rectangle: tuple[np.ndarray, float, np.ndarray], within: float) -> float:
+    """Of what lies up to `within` m outside each edge of a rectangle, the share in [0, 1] that some view sees; of the
+    edge where it is least. Where it is small, nothing says that the face ends there."""
+    centre, yaw, extents = rectangle
+    outward, beyond = _across(votes.xy, centre, yaw, extents)
+    near = (beyond >= 0) & (beyond < within)
+    shares = []
+    for turn in np.arange(4) * np.pi / 2 + yaw:
+        beside = near & (outward @ [np.cos(turn), np.sin(turn)] > 0.9)
+        shares.append(float(np.mean(votes.weight[beside] > _SEEN)) if beside.any() else 1.0)
+    return min(shares)
+
+
 def fit_rectangle(
     votes: Votes,
     start: tuple[np.ndarray, float, np.ndarray],
@@ -154,7 +185,7 @@ def fit_rectangle(
         square: keep both extents equal.
         ring: > 0 for a frame of that thickness around the rectangle (a box's rim around its inside); 0 for the face.
     """
-    seen = votes.weight > 0.05
+    seen = votes.weight > _SEEN
     xy, filled = votes.xy[seen], votes.filled[seen]
     centre, yaw, extents = start
 

@@ -164,12 +164,15 @@ def tie_height(
     covariance[2, 9] = covariance[9, 2] = (-1 if from_top else 1) * size_sigma**2 / 2
 
 
-def fitted_covariance(r: Rectangle, z_variance: float, views: int, sigma: ViewSigma) -> Float[np.ndarray, "7 7"]:
+def fitted_covariance(
+    r: Rectangle, z_variance: float, views: int, sigma: ViewSigma, yaw: float | None = None
+) -> Float[np.ndarray, "7 7"]:
     """Covariance of x y z qw qx qy qz of an outline that so many views show: what the fit itself does not know, and
-    what the views' own poses leave."""
+    what the views' own poses leave. `yaw` in rad where it is not the fit's own, but that turned by quarters."""
     n = max(views, 1)
     position = np.array([sigma.place**2 / n + r.sigma[0] ** 2, sigma.place**2 / n + r.sigma[1] ** 2, z_variance])
-    return upright_covariance(position, sigma.yaw**2 / n + r.sigma[2] ** 2, spatial.quat_from_yaw(r.yaw))
+    quat = spatial.quat_from_yaw(r.yaw if yaw is None else yaw)
+    return upright_covariance(position, sigma.yaw**2 / n + r.sigma[2] ** 2, quat)
 
 
 def _rim_mask(view: View, low: float, high: float) -> np.ndarray:

@@ -26,6 +26,7 @@ from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.core.world import CameraFrame, Cutout, Window
 from sim_training.mine import is_at_rest
+from sim_training.motion import Motion, camera_motion
 from sim_training.sensor import NoisySensor
 from sim_training.world import SimWorld
 
@@ -57,10 +58,17 @@ class SimulatedDevices(Devices):
 
 
 class NoisyCamera:
-    """A simulated camera with the faults of a D435i."""
+    """A simulated camera with the faults of a D435i.
 
-    def __init__(self, camera: SimCamera, sensor: NoisySensor) -> None:
-        self._camera, self._sensor = camera, sensor
+    Args:
+        motion: of the camera now; by default it always rests. Cut-outs stay sharp, as those are that the camera policy
+            learns from.
+    """
+
+    def __init__(
+        self, camera: SimCamera, sensor: NoisySensor, motion: Callable[[], Motion | None] = lambda: None
+    ) -> None:
+        self._camera, self._sensor, self._motion = camera, sensor, motion
         self.name = camera.name
 
     def connect(self) -> None:
@@ -70,7 +78,7 @@ class NoisyCamera:
         self._camera.close()
 
     def capture(self) -> CameraFrame:
-        return self._sensor.apply(self._camera.capture())
+        return self._sensor.apply(self._camera.capture(), self._motion())
 
     def cut_out(self, window: Window, size: int) -> Cutout:
         # Here the camera stands off its believed place, there the belief is off: for what is seen it is the same.
@@ -187,8 +195,13 @@ class _Simulated(AbstractContextManager[SimulatedDevices]):
         cameras: dict[str, Camera] = {}
         for i, camera in enumerate(self._rig.cameras):
             sensor = NoisySensor(self._task.seed * 10 + i, camera)
-            cameras[camera.name] = self._stack.enter_context(NoisyCamera(SimCamera(world, camera.name), sensor))
+            device = NoisyCamera(SimCamera(world, camera.name), sensor, partial(self._motion, world, camera.name))
+            cameras[camera.name] = self._stack.enter_context(device)
         return SimulatedDevices(robot, cameras, lambda: world.time, world.perceive)
+
+    def _motion(self, world: SimWorld, camera: str) -> Motion | None:
+        q, qd, _, _ = world.measure()
+        return camera_motion(self._rig, camera, q, qd)
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()

@@ -13,7 +13,7 @@ from calibration.detect import BoardDetector, Rejected, Sighting
 from calibration.hand_eye import Calibrator, HandEye, Noise, View, difference
 from calibration.intrinsics import LEAST_VIEWS, check_intrinsics
 from calibration.judge import Errors, board_by, held_out, judge
-from calibration.overlay import compare_outline, draw_corners, draw_scene, save_picture
+from calibration.overlay import SEARCH_PX, compare_outline, draw_corners, draw_scene, save_picture
 from calibration.propose import Proposer, Reach, board_in_hand, board_on_table
 from calibration.rig_file import update_rig
 from calibration.shots import Judge, Shot, ShotFolder, read_shots, take, usable
@@ -150,12 +150,16 @@ def live(config: CheckConfig) -> int:
             bad |= wrong
             dx, dy = outline.shift_px
             text = f"robot off by {dx:+.0f}, {dy:+.0f} px, outline within {outline.misfit_px:.1f} px"
+            if outline.at_the_limit:
+                text = f"robot off by {SEARCH_PX} px or more"
             text += f"; allowed: {limit:g} px" if wrong else ""
         say(f"Camera '{camera.name}': {text}.")
         pictures[camera.name] = draw_scene(colour, simulated, mask, f"{camera.name}: {text}")
         save_picture(folder / f"live-{camera.name}.png", pictures[camera.name])
     save_pictures(pictures, folder / "live.rrd")
     say(f"Left the camera, right the simulation over it: {folder}/live-*.png, and in Rerun: rerun {folder}/live.rrd")
+    if bad:
+        say("Where it is off the camera was moved: resync-robot calibrate hand-eye --camera NAME.")
     return 3 if bad else 0
 
 

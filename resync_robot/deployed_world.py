@@ -28,7 +28,7 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Object
-from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID, ROBOT
 from resync_robot.core.world import CameraFrame, Cutout, Observation, Window
 from resync_robot.doubt import DoubtingAbstraction, objects_in
 
@@ -103,7 +103,8 @@ class DeployedWorld:
         self._box = next(o for o in objects if o.type == BOX)
         blocks = [o for o in objects if o.type == BLOCK]
         estimator = SceneEstimator(rig, segmenter=segmenter)
-        self.belief = Belief(self._robot_object, self._box, blocks, rig, estimator)
+        fittings = [o for o in objects if o.type in (LID, DRAWER)]
+        self.belief = Belief(self._robot_object, self._box, blocks, rig, estimator, fittings)
         self._held: Object | None = None
         self.scans = 0
         self.missing: tuple[str, ...] = ()

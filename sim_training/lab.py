@@ -110,9 +110,14 @@ class Lab:
         return self.world.perceive()
 
     def _poses(self) -> dict[str, Any]:
-        q, _, opening, _ = self.world.measure()
+        q, qd, opening, _ = self.world.measure()
         state = self.world.state(q, opening)
-        return {"q": q.tolist(), "opening": opening, "objects": {o.name: state[o][:7].tolist() for o in state}}
+        return {
+            "q": q.tolist(),
+            "qd": qd.tolist(),
+            "opening": opening,
+            "objects": {o.name: state[o][:7].tolist() for o in state},
+        }
 
 
 class PictureProcess:

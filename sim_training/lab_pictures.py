@@ -15,6 +15,7 @@ from resync_robot.core.errors import ResyncError
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.world import Window
 from sim_training.domains import find_domain, world_task
+from sim_training.motion import camera_motion
 from sim_training.scene import place_camera
 from sim_training.sensor import NoisySensor
 from sim_training.world import SimWorld
@@ -62,7 +63,8 @@ class Pictures:
             return {"height": size, "width": size}, colour.tobytes()
         rig = self._rig.camera(name)
         place_camera(world.built.cameras[name], rig, rig.pose @ error)
-        frame = sensor.apply(world.render(name))
+        motion = camera_motion(self._rig, name, np.array(request["q"]), np.array(request.get("qd", np.zeros(6))))
+        frame = sensor.apply(world.render(name), motion)
         height, width = frame.depth.shape
         body_ = frame.colour.tobytes() + frame.depth.astype("<u2").tobytes()
         return {"height": height, "width": width}, body_

@@ -17,6 +17,7 @@ from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig
 from resync_robot.core.sensor_noise import SensorNoise
 from resync_robot.core.world import CameraFrame
+from sim_training.motion import Motion, flow_of, smear_colour, smear_depth
 
 
 class NoisySensor:
@@ -37,15 +38,19 @@ class NoisySensor:
         self.settings = settings or camera_rig.noise
         self._fixed_error = None if camera_rig.mount == "flange" else self._draw_pose_error()
 
-    def apply(self, frame: CameraFrame) -> CameraFrame:
-        """The frame as the camera would deliver it; `world_T_cam` becomes what the robot believes, not the truth."""
+    def apply(self, frame: CameraFrame, motion: Motion | None = None) -> CameraFrame:
+        """The frame as the camera would deliver it; `world_T_cam` becomes what the robot believes, not the truth.
+
+        Args:
+            motion: of the camera at that moment; None where it rests.
+        """
         error = self.pose_error()
-        return replace(
-            frame,
-            colour=self.colour(frame.colour),
-            depth=self._depth(frame.depth),
-            world_T_cam=frame.world_T_cam @ error,
-        )
+        colour, z = frame.colour, frame.depth.astype(np.float32) * np.float32(CameraFrame.DEPTH_UNIT_M)
+        if motion is not None:
+            flow = flow_of(motion, z, frame.intrinsics, self._rig.pose)
+            colour = smear_colour(colour, flow * np.float32(self.settings.exposure_time))
+            z = smear_depth(z, flow * np.float32(self.settings.depth_exposure_time))
+        return replace(frame, colour=self.colour(colour), depth=self._depth(z), world_T_cam=frame.world_T_cam @ error)
 
     def pose_error(self) -> Float[np.ndarray, "4 4"]:
         """camera_T_believed: for a camera on the flange another one each time it is asked."""
@@ -63,11 +68,10 @@ class NoisySensor:
         noise = self._rng.standard_normal(colour.shape, dtype=np.float32) * np.float32(s.colour_sigma)
         return np.clip(colour * gain.astype(np.float32) + noise + 0.5, 0, 255).astype(np.uint8)
 
-    def _depth(self, depth: np.ndarray) -> np.ndarray:
+    def _depth(self, z: np.ndarray) -> np.ndarray:
         s, rng = self.settings, self._rng
-        height, width = depth.shape
+        height, width = z.shape
         focal_baseline = np.float32(s.focal_at_848_px * width / 848 * s.baseline)
-        z = depth.astype(np.float32) * np.float32(CameraFrame.DEPTH_UNIT_M)
         z = self._flying(z)
         valid = z > max(s.least_depth_at_848 * width / 848, 1e-3)
         disparity = focal_baseline / np.where(valid, z, 1.0)
@@ -81,7 +85,7 @@ class NoisySensor:
         valid &= (column_there >= 0) & ~shadow
 
         ripple = np.float32(s.ripple_px) * np.sin(np.float32(2 * np.pi) * disparity)
-        noise = rng.standard_normal(depth.shape, dtype=np.float32) * np.float32(s.disparity_sigma_px)
+        noise = rng.standard_normal(z.shape, dtype=np.float32) * np.float32(s.disparity_sigma_px)
         step = np.float32(s.disparity_step_px)
         measured = np.round((disparity + ripple + noise) / step) * step
         valid &= measured > 0

@@ -43,8 +43,11 @@ def run(*args: str) -> int | str | None:
         return end.code
 
 
-def stored(folder: Path, rig: Rig, true_flange_T_cam: np.ndarray, count: int = 14, tilt: float = 45.0) -> None:
-    """A folder of pictures as an earlier run leaves them, without a renderer."""
+def stored(
+    folder: Path, rig: Rig, true_flange_T_cam: np.ndarray, count: int = 14, tilt: float = 45.0, kind: str = ""
+) -> None:
+    """A folder of pictures as an earlier run leaves them, without a renderer; of no board at all where it is `absent`,
+    and of one that was `moved` half way."""
     rng = np.random.default_rng(5)
     keep = ShotFolder(folder, "wrist", synthetic.SPEC)
     down = np.array([[0, 1.0, 0], [1, 0, 0], [0, 0, -1]])
@@ -58,8 +61,11 @@ def stored(folder: Path, rig: Rig, true_flange_T_cam: np.ndarray, count: int = 1
         except MotionError:
             continue
         name = f"wrist-{taken:03d}.png"
-        keep.add(Shot(name, synthetic.photograph(cam_T_board), q, Rejected("not judged here")))
+        picture = np.full((240, 424, 3), 128, np.uint8) if kind == "absent" else synthetic.photograph(cam_T_board)
+        keep.add(Shot(name, picture, q, Rejected("not judged here")))
         taken += 1
+        if kind == "moved" and taken == count // 2:
+            world_T_board = spatial.transform(None, np.array([0.03, 0.02, 0.0])) @ world_T_board
 
 
 @pytest.mark.parametrize(
@@ -151,6 +157,8 @@ def test_pictures_of_an_earlier_run_are_enough(
         ("flat", "too flat"),
         ("size", "measures squares of 32."),
         ("board", "usable pictures"),
+        ("absent", "no board of"),
+        ("moved", "the board moved"),
     ],
 )
 def test_pictures_from_which_nothing_follows_are_one_error_and_stay(
@@ -159,7 +167,7 @@ def test_pictures_from_which_nothing_follows_are_one_error_and_stay(
     monkeypatch.chdir(tmp_path)
     rig = load_rig()
     count, tilt = (5 if kind == "few" else 14), (5.0 if kind == "flat" else 45.0)
-    stored(Path("views"), rig, rig.camera("wrist").pose, count, tilt)
+    stored(Path("views"), rig, rig.camera("wrist").pose, count, tilt, kind)
     before = sorted(p.name for p in Path("views").iterdir())
     more = {"size": ("--board.square", "0.034"), "board": ("--board.dictionary", "5x5_50")}.get(kind, ())
     assert run("hand-eye", "--views", "views", "--write", "rig.toml", *more) == 2

@@ -36,6 +36,14 @@ class SensorNoise:
     """Share of the picture in random small holes."""
     exposure_sigma: float = 0.06
     white_balance_sigma: float = 0.015
+    exposure_time: float = 0.0156
+    """s that the shutter of the colour picture is open; while the camera moves, this blurs.
+
+    Both times are the D435i's own defaults for when auto exposure is off, 156 and 8500 (librealsense issue 9954), in
+    steps of 100 us for colour (issue 8243) and of 1 us for depth (issue 6384). Auto exposure follows the light, so
+    what holds in a laboratory is read off its own pictures.
+    """
+    depth_exposure_time: float = 0.0085
     colour_sigma: float = 2.5
     """Noise of a colour value, of 255."""
 

@@ -16,4 +16,12 @@ BLOCK = Type("block", (*POSE, "size_x", "size_y", "size_z"))
 # `inner_x`, `inner_y` are the full interior extents, `wall_z` the height of the walls above the floor.
 BOX = Type("box", (*POSE, "inner_x", "inner_y", "wall_z", "wall_thickness"))
 
-TYPES = {t.name: t for t in (ROBOT, BLOCK, BOX)}
+# The pose of a lid is that of the centre of its plate (the knob not counted), z up. `size_x`, `size_y`, `size_z` are
+# the plate's full extents.
+LID = Type("lid", (*POSE, "size_x", "size_y", "size_z"))
+
+# The pose of a drawer is that of the centre of its front, x the way it is pulled, z up. `opening` is the distance
+# between front and cabinet, `size_x`, `size_y`, `size_z` are the front's full extents.
+DRAWER = Type("drawer", (*POSE, "opening", "size_x", "size_y", "size_z"))
+
+TYPES = {t.name: t for t in (ROBOT, BLOCK, BOX, LID, DRAWER)}

@@ -96,6 +96,7 @@ def test_where_the_world_begins_does_not_matter(seed: int) -> None:
 def refused(calibrator: Calibrator, views: list[View]) -> str:
     with pytest.raises(CalibrationError) as error:
         calibrator.solve(views)
+    assert error.value.fix
     return str(error.value)
 
 

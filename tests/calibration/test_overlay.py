@@ -33,6 +33,12 @@ def test_the_shift_of_the_robot_is_measured(shift: tuple[int, int]) -> None:
     assert np.abs(found.shift_px - shift).max() <= 1.0
     assert found.error_px == pytest.approx(np.hypot(*shift), abs=1.5)
     assert found.misfit_px < 2.0
+    assert not found.at_the_limit
+
+
+def test_a_robot_further_off_than_is_searched_is_not_given_a_figure() -> None:
+    found = compare_outline(scene((20, 0))[0], scene()[1])
+    assert found is not None and found.at_the_limit
 
 
 def test_without_a_robot_in_sight_there_is_nothing_to_measure() -> None:

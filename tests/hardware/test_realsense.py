@@ -195,7 +195,8 @@ def test_a_camera_that_delivers_another_size_is_named(rs: Any, camera: CameraRig
 
 
 def test_a_missing_serial_number_is_named(rs: Any) -> None:
-    with pytest.raises(RobotError, match="no camera with serial number 123; connected: none"):
+    said = r"no camera with serial number 123; connected: none(.|\n)*the serial in the rig file"
+    with pytest.raises(RobotError, match=said):
         PipelineSource("123", (848, 480)).start()
 
 

@@ -1,11 +1,13 @@
-"""The rig and the catalogue that every test here uses."""
+"""The rig, the catalogue and the empty belief that tests here use."""
 
 from __future__ import annotations
 
 import pytest
 
+from perception.belief import Belief
 from perception.catalogue import Catalogue
 from resync_robot.core.rig import Rig, load_rig
+from tests.perception.estimates import B0, B1, THE_BOX, R
 
 
 @pytest.fixture(scope="session")
@@ -16,3 +18,8 @@ def rig() -> Rig:
 @pytest.fixture(scope="session")
 def catalogue() -> Catalogue:
     return Catalogue()
+
+
+@pytest.fixture
+def belief(rig: Rig) -> Belief:
+    return Belief(R, THE_BOX, (B0, B1), rig)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Sequence
 
 import numpy as np
 
-from perception.catalogue import Catalogue
+from perception.catalogue import CABINET, Catalogue
 from perception.scan import Scan
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.rig import Rig
@@ -49,8 +50,31 @@ class Table:
         self.coloured(name, (x, y, bottom + height / 2), (width / 2, width / 2, height / 2), yaw)
         self.coloured(name, (x, y, bottom + height + 0.006), (0.012, 0.012, 0.006), yaw)
 
+    def lid(self, name: str, x: float, y: float, bottom: float, yaw: float) -> None:
+        """A lid of the catalogue's size, with a knob in a colour that nothing else has."""
+        size = self._catalogue.lids[name].size
+        top = bottom + size[2]
+        self.coloured(name, (x, y, bottom + size[2] / 2), tuple(s / 2 for s in size), yaw)
+        self._add((x, y, top + 0.01), (0.012, 0.012, 0.01), yaw, GREY)
+
+    def drawer(self, name: str, x: float, y: float, yaw: float, opening: float) -> None:
+        """A cabinet of the catalogue's size around (x, y), its drawer pulled out along yaw."""
+        sizes, turn = self._catalogue.drawers[name], spatial.rotation_about("z", yaw)
+        depth, width, height = sizes.cabinet
+
+        def ahead(distance: float, z: float) -> tuple[float, ...]:
+            return tuple(np.array([x, y, z]) + turn @ np.array([distance, 0.0, 0.0]))
+
+        self.coloured(name + CABINET, ahead(0.0, height / 2), (depth / 2, width / 2, height / 2), yaw)
+        face = depth / 2 + opening
+        centre = ahead(face + sizes.front[0] / 2, 0.004 + sizes.front[2] / 2)
+        self.coloured(name, centre, tuple(s / 2 for s in sizes.front), yaw)
+        self._add(ahead(face + sizes.front[0] + 0.01, 0.03), (0.01, 0.02, 0.004), yaw, GREY)
+        if opening > 0.001:
+            self._add(ahead(face - opening / 2, 0.02), (opening / 2, width / 2 - 0.008, 0.016), yaw, GREY)
+
     def coloured(self, name: str, centre: tuple, half: tuple, yaw: float) -> None:
-        """A cuboid in the colour of a block."""
+        """A cuboid in the colour of something."""
         red, green, blue = (int(255 * c) for c in colorsys.hsv_to_rgb(self._catalogue.hues[name], 0.85, 0.8))
         self._add(centre, half, yaw, (red, green, blue))
 
@@ -72,6 +96,7 @@ class Table:
         tenths = np.clip(depth.reshape(shape) / CameraFrame.DEPTH_UNIT_M + 0.5, 0, 65535).astype(np.uint16)
         return CameraFrame("wrist", colour.reshape(*shape, 3), tenths, k, pose, 0.0)
 
-    def scan(self) -> list[CameraFrame]:
+    def scan(self, configurations: Sequence[np.ndarray] | None = None) -> list[CameraFrame]:
+        """The whole round, or pictures from these joint positions."""
         at: list[np.ndarray] = []
-        return Scan(self._rig)(at.append, lambda: self.picture(at[-1]))
+        return Scan(self._rig)(at.append, lambda: self.picture(at[-1]), configurations)

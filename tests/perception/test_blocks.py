@@ -70,7 +70,7 @@ def test_one_block_too_many_is_reported_and_never_chosen(rig: Rig) -> None:
     b0 = BLOCK("b0")
     robot = np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, 0.14])
     belief = Belief(ROBOT("r"), BOX("box"), (b0,), rig)
-    with pytest.raises(AmbiguousObjectsError, match="2 blocks that may be b0") as caught:
+    with pytest.raises(AmbiguousObjectsError, match="2 things that may be b0") as caught:
         belief.update(scene, robot)
     assert caught.value.names == ("b0",)
     assert belief.report.ambiguous == ("b0",)
