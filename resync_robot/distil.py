@@ -7,7 +7,8 @@ in worlds of its own is kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -184,7 +185,7 @@ def distil(
     device: str,
     progress: Progress,
 ) -> dict[str, bytes]:
-    """Teach, train, try, and keep the best. Returns the files of the policy that a library takes in.
+    """Teach, train, try, and keep one of the best. Returns the files of the policy that a library takes in.
 
     Resumes from what it left in the run folder: finished shards, the training's own checkpoint, finished trials.
     """
@@ -205,10 +206,24 @@ def distil(
             points.append({"step": until, "worlds": len(trials), "success": sum(t.success for t in trials)})
             write_json(saved, points)
         shares.tried(points[-1])
-    best = max(points, key=lambda p: (p["success"] / max(1, p["worlds"]), p["step"]))
-    folder.record("distil", {"points": points, "chosen": best["step"]})
-    _show(folder, shards, points, best["step"])
-    return {p.name: p.read_bytes() for p in sorted(_candidate(folder, best["step"]).iterdir())}
+    step = to_keep(points)
+    folder.record("distil", {"points": points, "chosen": step})
+    _show(folder, shards, points, step)
+    return {p.name: p.read_bytes() for p in sorted(_candidate(folder, step).iterdir())}
+
+
+def to_keep(points: Sequence[Mapping[str, int]]) -> int:
+    """The step of the candidate to keep: of those that trials cannot tell from the best, the one trained longest.
+
+    It recovers as often as far as anybody knows, and its eyes are better.
+
+    Args:
+        points: `step`, `worlds` and `success` (how many of these) of each candidate.
+    """
+    rates = [p["success"] / max(1, p["worlds"]) for p in points]
+    best = max(range(len(points)), key=rates.__getitem__)
+    error = math.sqrt(rates[best] * (1 - rates[best]) / max(1, points[best]["worlds"]))
+    return max(p["step"] for p, rate in zip(points, rates, strict=True) if rate >= rates[best] - error)
 
 
 def _show(folder: RunFolder, shards: list[Path], points: list[dict[str, Any]], chosen: int) -> None:

@@ -11,7 +11,7 @@ import pytest
 from policies.camera_recovery import MonitorSettings, Stopped, Watch
 from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
-from resync_robot.distil import DistilPlan, distil
+from resync_robot.distil import DistilPlan, distil, to_keep
 from resync_robot.knowledge import shipped_library
 from resync_robot.learning.camera_view import GAPS, CameraPolicy, state_seen
 from resync_robot.learning.failures import PairGaussian
@@ -48,6 +48,17 @@ def test_it_leaves_a_policy_a_dataset_and_pictures_and_does_nothing_twice(tmp_pa
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "stages").rglob("*") if p.is_file()}
     assert run(tmp_path) == files
     assert {p: p.stat().st_mtime_ns for p in before} == before
+
+
+@pytest.mark.parametrize(
+    ("successes", "step"),
+    [((92, 91, 91), 4800), ((92, 91, 85), 3300), ((92, 60, 85), 1800), ((69, 87, 88), 4800), ((96, 95, 96), 4800)],
+)
+def test_of_candidates_that_trials_cannot_tell_apart_the_one_trained_longest_is_kept(
+    successes: tuple[int, ...], step: int
+) -> None:
+    steps = (1800, 3300, 4800)
+    assert to_keep([{"step": s, "worlds": 96, "success": k} for s, k in zip(steps, successes, strict=True)]) == step
 
 
 def test_the_shipped_policy_sees_its_block_and_whether_it_is_stuck(tmp_path: Path) -> None:
