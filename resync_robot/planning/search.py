@@ -114,7 +114,7 @@ def plan(
         return estimate(node)
 
     try:
-        found = _surest(problem, counted, risk) if risk else astar_search(problem.task, counted)
+        found = _surest(problem, _remembered(counted)) if risk else astar_search(problem.task, counted)
     except _TooManyNodes:
         raise PlanningError(f"no plan for {_words(goal)} within {max_nodes} search nodes") from None
     if found is None:
@@ -122,8 +122,8 @@ def plan(
     return Plan(problem.steps(found), created, time.perf_counter() - start)
 
 
-def _surest(problem: _Problem, estimate: Callable[[SearchNode], float], risk: Risk) -> list[Any] | None:
-    """A* on (steps, risk), compared in this order; the heuristic speaks of steps only."""
+def _remembered(estimate: Callable[[SearchNode], float]) -> Callable[[SearchNode], float]:
+    """The same heuristic, computed once for each state."""
     values: dict[frozenset[int], float] = {}
 
     def h(node: SearchNode) -> float:
@@ -131,6 +131,11 @@ def _surest(problem: _Problem, estimate: Callable[[SearchNode], float], risk: Ri
             values[node.state] = estimate(node)
         return values[node.state]
 
+    return h
+
+
+def _surest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] | None:
+    """A* on (steps, risk), compared in this order; the heuristic speaks of steps only."""
     root = make_root_node(problem.task.initial_state)
     best = {root.state: (0, 0.0)}
     queue = [(h(root), 0.0, h(root), 0, root)] if h(root) < INFINITY else []
@@ -169,14 +174,7 @@ def plans(
     """
     start = time.perf_counter()
     problem = _Problem(operators, objects, atoms, goal, keep_useless=True)
-    estimate = problem.heuristic(heuristic)
-    values: dict[frozenset[int], float] = {}
-
-    def h(node: SearchNode) -> float:
-        if node.state not in values:
-            values[node.state] = estimate(node)
-        return values[node.state]
-
+    h = _remembered(problem.heuristic(heuristic))
     root = make_root_node(problem.task.initial_state)
     created = 1
     queue: list[tuple[float, float, int, SearchNode]] = []
