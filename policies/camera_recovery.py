@@ -48,6 +48,8 @@ block to a millimetre where pictures on the way do not."""
 LEAST_SURE = 0.02
 ASIDE = 0.004
 """m beside the block's middle at which an attempt may begin; demonstrations begin up to 6 mm beside it."""
+OVER_STEP = 0.015
+"""m in 0.1 s, on the way back over a block that was let go."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +152,8 @@ def _drive(
     """Steps until the policy says that it is done. Returns whether it did. Raises Stopped."""
     watch, scanned = Watch(m, rig), Scanned.of(hand.last.state, *objects[1:])
     chunks, thinking = Chunks(), _Thinking(policy, thread)
-    footing, done_in_a_row = Footing(), 0
+    z, height = hand.last.state.get(objects[1], "z", "size_z")
+    footing, astray, done_in_a_row = Footing(top=z + height / 2), False, 0
     for _ in range(s.max_decisions):
         goal = _reach(hand, objects, hand.position + from_hand(watch.step(chunks.next()), hand.yaw))
         if chunks.wanting and not thinking.busy:
@@ -158,18 +161,31 @@ def _drive(
         if not (yield from press_on(hand, goal, DECISION_STEPS, footing)):
             # What was wanted, and what is being thought, is of a block that stood.
             thinking.answer(wait=True)
-            chunks = Chunks()
+            chunks, astray = Chunks(), True
             continue
         answer = thinking.answer(wait=not hand.last.realtime or not chunks.left)
         if answer is not None:
             prediction, late = answer
             watch.prediction(prediction)
+            if astray:
+                # The policy comes down where the scan says, or where a block that it has dragged would be, and so on
+                # the edge of one that has moved otherwise. Where that one is, it sees.
+                beneath = np.array([*prediction.block[0, :2], 0.0])
+                over = _reach(hand, objects, hand.tip() + from_hand(beneath, hand.yaw))
+                over[2], astray = hand.position[2], False
+                yield from press_on(hand, over, DECISION_STEPS * _decisions(over - hand.position), footing)
+                continue
             chunks.push(careful_steps(prediction)[0], late)
             done_in_a_row = done_in_a_row + 1 if says_done(prediction)[0] else 0
             if done_in_a_row >= DONE_IN_A_ROW:
                 return True
         watch.motion(hand.tip())
     return False
+
+
+def _decisions(way: np.ndarray) -> int:
+    """How many steps of the policy's own size that is."""
+    return max(1, int(np.ceil(np.abs(way).max() / OVER_STEP)))
 
 
 class _Thinking:

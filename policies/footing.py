@@ -2,7 +2,9 @@
 
 A block that is narrow, high and rough tips over rather than slides, within two tenths of a second. As it begins to
 lean it lifts the hand that presses on it, by millimetres that the joints tell at once, where no picture would show it
-in time. Let go then, it falls back on its feet, a centimetre further on.
+in time. Let go then, it falls back on its feet, a centimetre further on. A hand that sinks beneath the block's upper
+face has slid off it. And a hand that is done pressing goes straight up: drawn sideways as the pressure fades, it would
+take the block's top along.
 """
 
 from __future__ import annotations
@@ -25,21 +27,32 @@ LET_GO_RISE = 0.03
 """m that the hand goes up from a block that leans; pushing it over takes half a metre a second for a tenth of one."""
 LET_GO_STEPS, WAIT_STEPS = 5, 10
 """Control steps up, and for the block to fall back."""
+BENEATH = 0.004
+"""m beneath the block's upper face at which the tip is beside the block."""
+LIFT_STEP = 0.008
+"""m up in one step of a policy from which on it means to lift the hand, not to press less."""
 
 
 @dataclass
 class Footing:
-    """Whether what the hand presses on lifts it."""
+    """Whether what the hand presses on lifts it, or is not beneath it any more.
 
-    _lowest: float = field(default=np.inf)
+    Attributes:
+        top: height of the block's upper face, its stud not counted, m; of one that is not known, no hand is beside it.
+    """
 
-    def leans(self, tip_z: float, sent_z: float) -> bool:
+    top: float = -np.inf
+    _lowest: float = field(default=np.inf, init=False)
+
+    def gives_way(self, tip_z: float, sent_z: float) -> bool:
         """Look at one control step.
 
         Args:
             tip_z: height of the tip as measured, m.
             sent_z: where it was sent, m.
         """
+        if tip_z < self.top - BENEATH:
+            return True
         if sent_z > tip_z - PRESSED:
             self._lowest = np.inf
             return False
@@ -50,16 +63,19 @@ class Footing:
 def press_on(
     hand: Hand, goal: Float[np.ndarray, "3"], steps: int, footing: Footing
 ) -> Generator[JointTarget, Observation, bool]:
-    """Send the tip straight to `goal` in so many control steps, but up where what it presses on begins to lean.
+    """Send the tip to `goal` in so many control steps; straight up where it goes up from what it presses on, and where
+    that gives way.
 
     Returns:
-        Whether the way was gone to its end.
+        Whether the way was gone to its end. If not, the hand has let go.
     """
-    begin = hand.position.copy()
+    begin, tip = hand.position.copy(), hand.tip()
+    if begin[2] < tip[2] - PRESSED and goal[2] > begin[2] + LIFT_STEP:
+        goal = np.array([*tip[:2], goal[2]])
     for i in range(1, steps + 1):
         hand.position = begin + (goal - begin) * i / steps
         hand.last = yield hand.target()
-        if footing.leans(hand.tip()[2], hand.position[2]):
+        if footing.gives_way(hand.tip()[2], hand.position[2]):
             break
     else:
         return True

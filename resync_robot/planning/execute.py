@@ -112,8 +112,9 @@ class Listener:
 @dataclass(frozen=True, kw_only=True)
 class ExecuteSettings:
     max_skills: int = 16
-    max_failures: int = 3
-    """Failures of one ground skill after which the episode is given up."""
+    max_failures: int = 5
+    """Failures of one ground skill after which the episode is given up. A skill that breaks off in time often leaves
+    things better than they were, and the next attempt begins from there."""
     heuristic: str = "lmcut"
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from policies.camera_recovery import MonitorSettings, Stopped, Watch, camera_recovery_skill
+from policies.footing import BENEATH, LET_GO_RISE
 from policies.grasp import travel_height
 from policies.neural import RecoverySkillSettings
 from resync_robot.core.skill import Ending, Outcome
@@ -128,6 +129,22 @@ def test_exchanged_cameras_are_noticed_within_a_few_pictures() -> None:
     with pytest.raises(Stopped, match="camera 'front' look like those of 'side'"):
         for _ in range(4):
             watch.prediction(taken_for(0.05, 0.9))
+
+
+@pytest.mark.parametrize("away", [0.0, -0.01, -0.02])
+def test_a_hand_that_slid_off_comes_back_over_where_the_policy_sees_the_block(away: float) -> None:
+    _, world = run(Scripted(step=(0.0, 0.0, -0.015), away=away))
+    tips = np.array(world.tips)
+    top = float((SCENE.get(B0, "z") + SCENE.get(B0, "size_z") / 2)[0])
+    sunk = np.flatnonzero((tips[1:, 2] < top - BENEATH) & (tips[:-1, 2] >= top - BENEATH))
+    # Here nothing bears the hand, so it sinks, rises and comes back again and again.
+    assert len(sunk) >= 4
+    first, second = tips[sunk[0]], tips[sunk[1]]
+    assert np.linalg.norm((second - first)[:2]) == pytest.approx(abs(away), abs=1e-3)
+    up = tips[sunk[0] : sunk[1], 2]
+    assert up.max() == pytest.approx(up.min() + LET_GO_RISE, abs=1e-3)
+    level = tips[sunk[0] : sunk[1]][up > up.max() - 1e-3]
+    assert np.abs(np.diff(level[:, :2], axis=0)).max() < 0.2 * 0.02, "no faster than 0.2 m/s"
 
 
 def test_a_policy_that_says_done_beside_a_wall_is_not_believed() -> None:
