@@ -37,6 +37,8 @@ BESIDE = 1.3
 """Distance of two centres over their width, below which blocks touch: one edge of each is not seen."""
 TOUCHING_SIGMA, SEAM_SIGMA = ViewSigma(place=0.0, yaw=0.004), ViewSigma(place=0.001, yaw=0.010)
 """What that adds where the colours tell the two apart, and where they do not."""
+CORNER_SIGMA, CORNER_GAP = ViewSigma(place=0.0004, yaw=0.0015), 0.010
+"""What two walls nearer than that add, m: all views come from the middle of the box, and draw the outline there."""
 TYPICAL_HEIGHT = 0.045
 COVERED_WITHIN = 0.040
 OBLONG = 1.4
@@ -213,10 +215,20 @@ def _block(
     )
     covariance = np.zeros((10, 10))
     covariance[:7, :7] = fitted_covariance(r, 0.0, votes.views, BLOCK_SIGMA)
+    if box is not None and in_corner(np.array([r.x, r.y]), r.width, box.features):
+        place = np.array([CORNER_SIGMA.place**2, CORNER_SIGMA.place**2, 0.0])
+        covariance[:7, :7] += upright_covariance(place, CORNER_SIGMA.yaw**2, features[3:7])
     covariance[7:9, 7:9] = r.sigma[3] ** 2 + SIZE_SIGMA**2
     tie_height(covariance, size_z_sigma, HEIGHT_SIGMA)
     upright = tilt < UPRIGHT_WITHIN and height >= low and _has_stud(patch, r, top_z, catalogue)
     return BlockEstimate(name, features, covariance, top_z, upright, storeys > 1, votes.views)
+
+
+def in_corner(xy: Float[np.ndarray, "2"], width: float, box: Float[np.ndarray, "11"]) -> bool:
+    """Does a block of that width, square to the box, stand close to two of its walls?"""
+    place = spatial.inverse(spatial.pose_from_features(box[:7])) @ np.array([*xy, box[2], 1.0])
+    gaps = box[7:9] / 2 - np.abs(place[:2]) - width / 2
+    return bool(np.all(np.abs(gaps) < CORNER_GAP))
 
 
 def _has_stud(patch: np.ndarray, r: Rectangle, top_z: float, catalogue: Catalogue) -> bool:

@@ -53,8 +53,8 @@ class Catalogue:
     least_saturation: float = 0.30
     least_value: float = 0.15
 
-    block_width: tuple[float, float] = (0.040, 0.080)
-    block_height: tuple[float, float] = (0.036, 0.062)
+    block_width: tuple[float, float] = (0.036, 0.084)
+    block_height: tuple[float, float] = (0.033, 0.062)
     stud_width: float = 0.024
     stud_height: float = 0.012
 

@@ -259,11 +259,14 @@ class Watch:
         # No single picture may decide: each counts for a factor of 50 at most.
         self._pictures += 1
         self._seen_as = self._seen_as + np.log(np.clip(views, LEAST_SURE, 1.0))
-        orders = list(permutations(range(len(VIEWS))))
-        support = [float(self._seen_as[range(len(VIEWS)), order].sum()) for order in orders]
-        best = orders[int(np.argmax(support))]
+        right, *others = permutations(range(len(VIEWS)))
+        support = {order: float(self._seen_as[right, order].sum()) for order in (right, *others)}
+        best = max(others, key=support.__getitem__)
         m = self.settings
-        if max(support) - support[0] > max(m.exchanged, m.exchanged_each * self._pictures):
+        asked = max(m.exchanged, m.exchanged_each * self._pictures)
+        # An exchange shows in every camera that takes part; one alone that looks odd is something else.
+        agree = all(self._seen_as[i, j] >= self._seen_as[i, i] for i, j in enumerate(best))
+        if agree and support[best] - support[right] > asked:
             i = next(i for i, j in enumerate(best) if i != j)
             raise Stopped(f"the pictures of camera '{VIEWS[i]}' look like those of '{VIEWS[best[i]]}'")
 

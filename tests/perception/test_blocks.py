@@ -7,8 +7,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from perception.belief import Belief
+from perception.blocks import CORNER_GAP, in_corner
 from perception.catalogue import Catalogue
 from perception.naming import AmbiguousObjectsError, MissingObjectsError
 from perception.objects import SceneEstimate, SceneEstimator
@@ -54,6 +57,20 @@ def test_two_of_one_colour_that_touch_are_still_two(rig: Rig, along: float) -> N
     # The edge between them is not seen, and the estimate says so.
     alone = look(rig, TWINS, ("b0", 0.45, -0.02, FLOOR, yaw)).blocks["b0"].covariance
     assert scene.blocks["b0"].covariance[0, 0] > 1.5 * alone[0, 0]
+
+
+@given(
+    x=st.floats(0.4, 0.6), y=st.floats(-0.1, 0.1), yaw=st.floats(-3.1, 3.1), corner=st.sampled_from([-1.0, 1.0]),
+    gaps=st.tuples(st.floats(-0.003, 0.05), st.floats(-0.003, 0.05)),
+)  # fmt: skip
+def test_a_corner_is_where_two_walls_are_close(
+    x: float, y: float, yaw: float, corner: float, gaps: tuple[float, float]
+) -> None:
+    assume(all(abs(gap - CORNER_GAP) > 1e-6 for gap in gaps))
+    box = np.array([x, y, FLOOR, *spatial.quat_from_yaw(yaw), 0.30, 0.28, 0.11, 0.03])
+    local = np.array([0.15 - WIDTH / 2 - gaps[0], corner * (0.14 - WIDTH / 2 - gaps[1]), 0.0, 1.0])
+    place = (spatial.pose_from_features(box[:7]) @ local)[:2]
+    assert in_corner(place, WIDTH, box) == (max(gaps) < CORNER_GAP)
 
 
 def test_the_lower_of_a_tower_of_one_colour_is_glimpsed(rig: Rig) -> None:

@@ -124,6 +124,20 @@ def test_a_world_that_looks_odd_to_all_cameras_is_no_exchange() -> None:
             watch.prediction(taken_for(0.05, 0.9))
 
 
+def test_one_camera_that_looks_like_another_is_no_exchange() -> None:
+    front_alone, both = (
+        replace(Scripted()(*OBSERVED), views=np.array([[0.05, 0.05, 0.9], [0.1, 0.8, 0.1], wrist])[None])
+        for wrist in ([0.4, 0.1, 0.5], [0.5, 0.1, 0.4])
+    )
+    watch = Watch(MonitorSettings(), RIG)
+    for _ in range(60):
+        watch.prediction(front_alone)
+    watch = Watch(MonitorSettings(), RIG)
+    with pytest.raises(Stopped, match="camera 'front' look like those of 'wrist'"):
+        for _ in range(60):
+            watch.prediction(both)
+
+
 def test_exchanged_cameras_are_noticed_within_a_few_pictures() -> None:
     watch = Watch(MonitorSettings(), RIG)
     with pytest.raises(Stopped, match="camera 'front' look like those of 'side'"):
