@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from importlib.resources import files
 from itertools import pairwise
@@ -38,17 +39,60 @@ def update_rig(
     Raises:
         ConfigError: the file is written in an unusual way, or cannot be written.
     """
-    text = source.read_text() if source else files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
     tables = {name: table for name, table in (("calibration", record), ("noise", noise)) if table is not None}
-    edited = _edit(text, camera, values, tables)
+    edited = _edit(_text(source), camera, values, tables)
+    _replace(target, edited, lambda written: _compare(written, source, camera, values, tables))
+
+
+def update_hues(source: Path | None, target: Path, hues: Mapping[str, float]) -> None:
+    """Write `target`: the rig file `source` (None: the built-in one) with these under `[hues]`; other names there stay.
+
+    Read back and kept as by `update_rig`.
+
+    Raises:
+        ConfigError: the file is written in an unusual way, or cannot be written; or a name that TOML has no word for.
+    """
+    for name in hues:
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+            raise ConfigError(f"{name!r} is no name for a thing", "use letters, digits, _ and -")
+    lines = _text(source).splitlines()
+    heads = [i for i, line in enumerate(lines) if re.match(r"\s*\[\s*hues\s*\]", line)]
+    begin = heads[0] if heads else len(lines)
+    end = next((i for i in range(begin + 1, len(lines)) if re.match(r"\s*\[", lines[i])), len(lines))
+    own = _without_blank_end(lines[begin:end]) or ["", "[hues]"]
+    rounded = {name: round(hue, 4) % 1.0 for name, hue in hues.items()}
+    written = {name: f"{name} = {hue:.4f}" for name, hue in rounded.items()}
+    for i, line in enumerate(own):
+        known = re.match(r"\s*[\"']?([A-Za-z0-9_-]+)[\"']?\s*=", line)
+        if known and known[1] in written:
+            comment = re.search(r"\s*#.*$", line)
+            own[i] = written.pop(known[1]) + (comment.group() if comment else "")
+    edited = "\n".join([*lines[:begin], *own, *written.values(), "", *lines[end:]]).rstrip() + "\n"
+
+    def compare(beside: Path) -> None:
+        read = load_rig(beside)
+        before, after = tomllib.loads(_text(source)), tomllib.loads(beside.read_text())
+        wanted = {**before.pop("hues", {}), **rounded}
+        if read.hues != wanted or after | {"hues": wanted} != before | {"hues": wanted}:
+            raise ConfigError("the rig file is written in a way in which [hues] cannot be changed", "write [hues] last")
+
+    _replace(target, edited, compare)
+
+
+def _text(source: Path | None) -> str:
+    return source.read_text() if source else files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
+
+
+def _replace(target: Path, text: str, check: Callable[[Path], None]) -> None:
+    """Write beside, check that, and put it in place; what was there is kept. Raises ConfigError."""
     beside = target.with_name(target.name + ".part")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(edited)
+        beside.write_text(text)
     except OSError as error:
         raise ConfigError(f"cannot write {target}: {error.strerror}", "give another file with --write") from None
     try:
-        _compare(beside, source, camera, values, tables)
+        check(beside)
     except ConfigError:
         beside.unlink()
         raise

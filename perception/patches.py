@@ -29,7 +29,7 @@ def patches_of(views: Sequence[View], index: int, catalogue: Catalogue) -> tuple
     """
     points, _ = gather(views, [v.valid & (v.labels == index) & _on_the_table(v, catalogue) for v in views])
     shows = sum(int(((v.labels == index) & ~v.hidden).sum()) for v in views) >= SHOWS
-    return _connected(points), shows and not len(points)
+    return connected(points), shows and not len(points)
 
 
 def without_stragglers(xy: np.ndarray) -> np.ndarray:
@@ -49,8 +49,13 @@ def _on_the_table(view: View, catalogue: Catalogue) -> np.ndarray:
     return (z > 0.008) & (z < 0.26)
 
 
-def _connected(points: np.ndarray, step: float = 0.006) -> list[np.ndarray]:
-    """The points of every connected patch seen from above, the largest first, without stray ones."""
+def connected(points: Float[np.ndarray, "n k"], step: float = 0.006) -> list[Float[np.ndarray, "m k"]]:
+    """The rows of every connected patch seen from above, the largest first, without stray ones.
+
+    Args:
+        points: x, y, and whatever else.
+        step: m that may be between two points of a patch.
+    """
     if len(points) < LEAST_POINTS:
         return []
     origin = points[:, :2].min(axis=0) - step

@@ -11,8 +11,10 @@ from resync_robot.calibration_settings import (
     BoardConfig,
     CheckConfig,
     HandEyeConfig,
+    HuesConfig,
     IntrinsicsConfig,
     NoiseConfig,
+    check_hues,
     check_look,
     check_noise,
 )
@@ -21,7 +23,7 @@ from resync_robot.core.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrateConfig:
-    """Calibrate the cameras of a rig: board, intrinsics, hand-eye, check, noise."""
+    """Calibrate the cameras of a rig: board, intrinsics, hand-eye, check, noise, hues."""
 
     what: (
         Annotated[BoardConfig, tyro.conf.subcommand("board")]
@@ -29,12 +31,13 @@ class CalibrateConfig:
         | Annotated[HandEyeConfig, tyro.conf.subcommand("hand-eye")]
         | Annotated[CheckConfig, tyro.conf.subcommand("check")]
         | Annotated[NoiseConfig, tyro.conf.subcommand("noise")]
+        | Annotated[HuesConfig, tyro.conf.subcommand("hues")]
     )
     """What to do."""
 
 
 def calibrate(config: CalibrateConfig) -> int:
-    """Run one of the five.
+    """Run one of the six.
 
     Returns:
         0, or 3 where a check finds the calibration worse than the rig's limits.
@@ -57,6 +60,11 @@ def calibrate(config: CalibrateConfig) -> int:
         from resync_robot.noise_run import measure_noise
 
         return measure_noise(what)
+    if isinstance(what, HuesConfig):
+        check_hues(what)
+        from resync_robot.hues_run import measure_hues
+
+        return measure_hues(what)
     check_look(what)
     from resync_robot import calibration_run
 

@@ -9,7 +9,8 @@ from typing import Literal
 from calibration.board import BoardSpec
 from resync_robot.core.errors import ConfigError
 
-MOST_POSES = 100
+MOST_POSES, MOST_THINGS = 100, 4
+"""Of one run: pictures of a board; things in a row."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +112,26 @@ class NoiseConfig:
     """Of the simulated machine."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class HuesConfig:
+    """Learn the colours of the things that stand alone on the table, left to right as the robot sees them."""
+
+    names: tuple[str, ...]
+    """What they are called, from the robot's left to its right, such as b0 b1 b2."""
+
+    backend: Literal["sim", "ur7e"] = "sim"
+    """The robot and cameras to use."""
+
+    rig: Path | None = None
+    """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
+
+    write: Path | None = None
+    """Write the hues into this rig file, under [hues]. Default: only report."""
+
+    seed: int = 0
+    """Of the simulated machine, and of the colours of what stands before it."""
+
+
 def check_target(target: Path, rig: Path | None) -> None:
     """Refuse to replace a rig file by one that was made from the built-in rig. Raises ConfigError."""
     if rig is None and target.exists():
@@ -126,6 +147,18 @@ def check_noise(config: NoiseConfig) -> None:
         raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
     if not 5 <= config.frames <= 100:
         raise ConfigError(f"--frames is {config.frames}; allowed: 5 to 100, 12 is good")
+    if config.seed < 0:
+        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
+
+
+def check_hues(config: HuesConfig) -> None:
+    """Refuse before anything is loaded or moved. Raises ConfigError."""
+    if config.backend != "sim":
+        raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
+    if not 1 <= len(config.names) <= MOST_THINGS:
+        raise ConfigError(f"{len(config.names)} names; allowed: 1 to {MOST_THINGS}", "give --names b0 b1 b2")
+    if len(set(config.names)) != len(config.names):
+        raise ConfigError(f"--names {' '.join(config.names)} has a name twice", "each thing needs a name of its own")
     if config.seed < 0:
         raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
 

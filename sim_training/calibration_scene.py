@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import colorsys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,7 +16,7 @@ from resync_robot.core import spatial
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
-from resync_robot.core.vocabulary import ROBOT
+from resync_robot.core.vocabulary import BLOCK, ROBOT
 from sim_training.randomise import draw_physics
 from sim_training.world import SimWorld
 
@@ -54,6 +56,26 @@ def empty_task(rig: Rig, seed: int) -> Task:
     """Nothing on the table."""
     state = State({R: rig.robot_features(rig.arm.home, rig.gripper.max_opening)})
     return Task((R,), state, frozenset(), draw_physics(np.random.default_rng(seed), []), seed)
+
+
+ROW_X, ROW_WIDTH, ROW_SPACING = 0.46, 0.055, 0.12
+"""Where things stand in a row, m."""
+
+
+def row_task(rig: Rig, names: Sequence[str], seed: int) -> Task:
+    """Blocks on the bare table from the robot's left to its right, of hues that nobody knows beforehand."""
+    rng = np.random.default_rng([seed, 20_261_122])
+    physics = draw_physics(rng, names)
+    first = rng.uniform()
+    features = {R: rig.robot_features(rig.arm.home, rig.gripper.max_opening)}
+    for i, name in enumerate(names):
+        hue = (first + (i + rng.uniform(-0.1, 0.1)) / len(names)) % 1.0
+        physics["colours"][name] = colorsys.hsv_to_rgb(hue, rng.uniform(0.8, 0.95), rng.uniform(0.65, 0.9))
+        place = [ROW_X, (len(names) - 1) / 2 * ROW_SPACING - i * ROW_SPACING, 0.0225]
+        quat = spatial.quat_from_yaw(rng.uniform(-0.7, 0.7))
+        features[BLOCK(name)] = np.array([*place, *quat, ROW_WIDTH, ROW_WIDTH, 0.045])
+    state = State(features)
+    return Task(state.objects, state, frozenset(), physics, seed)
 
 
 class CalibrationWorld(SimWorld):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 import tomllib
 from dataclasses import replace
 from datetime import date, timedelta
@@ -13,13 +14,14 @@ import pytest
 from calibration.detect import Rejected
 from calibration.rig_file import update_rig
 from calibration.shots import Shot, ShotFolder
+from perception.hues import apart
 from resync_robot import cli
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.calibration_record import CalibrationRecord
 from resync_robot.core.errors import MotionError, RenderError
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.deploy import DeployConfig, calibration_complaints
-from sim_training.calibration_scene import CalibrationWorld, displaced, empty_task
+from sim_training.calibration_scene import CalibrationWorld, displaced, empty_task, row_task
 from tests.calibration import synthetic
 
 RECORD = CalibrationRecord(
@@ -87,6 +89,10 @@ def stored(
         (("noise", "--frames", "2"), "--frames is 2"),
         (("noise", "--camera", "back"), "front, side, wrist"),
         (("noise", "--backend", "ur7e"), "use --backend sim"),
+        (("hues", "--names", "b0", "--backend", "ur7e"), "use --backend sim"),
+        (("hues", "--names", "b0", "b0"), "has a name twice"),
+        (("hues", "--names", "a", "b", "c", "d", "e"), "allowed: 1 to 4"),
+        (("hues", "--names", "b0", "--rig", "absent.toml"), "absent.toml"),
         (("hand-eye", "--write", "/dev/null/rig.toml"), "cannot write /dev/null/rig.toml"),
         (("hand-eye", "--out", "/dev/null/run"), "cannot write /dev/null/run"),
         (("check", "--camera", "back"), "front, side, wrist"),
@@ -120,6 +126,7 @@ def test_a_rig_file_that_lies_there_is_not_replaced_by_the_built_in_one(
         ("hand-eye", "--write", "rig.toml"),
         ("intrinsics", "--write", "rig.toml"),
         ("noise", "--write", "rig.toml"),
+        ("hues", "--names", "b0", "--write", "rig.toml"),
     ):
         assert run(*words) == 2
         assert "give --rig rig.toml" in capsys.readouterr().err
@@ -235,6 +242,19 @@ def test_the_noise_of_the_simulated_camera_is_measured_and_written(
     assert found.ripple_px == pytest.approx(true.ripple_px, abs=0.01)
     assert found.hole_share == pytest.approx(true.hole_share, rel=0.5)
     assert found.colour_sigma == pytest.approx(true.colour_sigma, rel=0.2)
+
+
+def test_the_colours_of_what_stands_in_a_row_are_learned(
+    renderer: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = ("cup", "b1", "b2")
+    assert run("hues", "--names", *names, "--seed", "5", "--write", "rig.toml") == 0
+    assert "cup" in capsys.readouterr().out
+    true = row_task(load_rig(), names, 5).physics["colours"]
+    found = load_rig(Path("rig.toml")).hues
+    for name in names:
+        assert apart(found[name], colorsys.rgb_to_hsv(*true[name])[0]) < 0.03
 
 
 @pytest.mark.slow

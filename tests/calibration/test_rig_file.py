@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.rig_file import update_rig
+from calibration.rig_file import update_hues, update_rig
 from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationRecord
 from resync_robot.core.errors import ConfigError
@@ -100,3 +100,42 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="cannot write"):
         update_rig(None, tmp_path / "file" / "rig.toml", "wrist", {}, RECORD)
+
+
+NAMES = st.from_regex(r"[A-Za-z0-9_-]{1,8}", fullmatch=True)
+HUES = st.dictionaries(NAMES, st.floats(0.0, 1.0, exclude_max=True), min_size=1, max_size=5)
+
+
+@settings(max_examples=30)
+@given(HUES, HUES, st.booleans())
+def test_hues_are_read_back_and_all_else_stays(first: dict[str, float], second: dict[str, float], after: bool) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.toml"
+        update_hues(None, path, first)
+        if after:
+            # A table may follow, and comments may stand beside.
+            text = path.read_text().replace("[hues]", "# ours\n[hues]  # measured")
+            sam3 = '[sam3]\ncheckpoint = "a"\nvocabulary = "b"\n\n[sam3.prompts]\nb0 = "red block"\n'
+            path.write_text(f"{text}\n{sam3}")
+        update_hues(path, path, second)
+        found, text = load_rig(path), path.read_text()
+    wanted = {name: round(hue, 4) % 1.0 for name, hue in {**first, **second}.items()}
+    assert dict(found.hues) == pytest.approx(wanted)
+    assert set(BUILT_IN.splitlines()) <= set(text.splitlines())
+    assert ("# measured" in text and found.sam3 is not None) == after
+
+
+@pytest.mark.parametrize("name", ["", "b 0", "b=0", 'b"', "b\n0", "ä"])
+def test_a_thing_without_a_proper_name(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is no name for a thing"):
+        update_hues(None, tmp_path / "rig.toml", {name: 0.1})
+    assert not list(tmp_path.iterdir())
+
+
+def test_hues_that_are_written_in_line_are_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text("hues = { b0 = 0.1 }\n" + BUILT_IN)
+    before = path.read_text()
+    with pytest.raises(ConfigError):
+        update_hues(path, path, {"b0": 0.2})
+    assert path.read_text() == before and len(list(tmp_path.iterdir())) == 1

@@ -1,0 +1,50 @@
+"""What `resync-robot calibrate hues` does: a scan of things that stand in a row, and the colours that they have."""
+
+from __future__ import annotations
+
+from calibration.rig_file import update_hues
+from hardware.sim import SimCamera, SimRobot
+from hardware.stream import Stream
+from hardware.travel import travel
+from perception.hues import find_hues, name_hues
+from perception.objects import catalogue_of
+from perception.scan import Scan
+from resync_robot.backends import NoisyCamera
+from resync_robot.calibration_settings import HuesConfig, check_target
+from resync_robot.core.rig import load_rig
+from resync_robot.progress import say
+from resync_robot.run_folder import check_writable
+from sim_training.calibration_scene import row_task
+from sim_training.sensor import NoisySensor
+from sim_training.world import SimWorld
+
+WRIST = "wrist"
+"""The camera that scans."""
+
+
+def measure_hues(config: HuesConfig) -> int:
+    """Scan, read off the hues, and write `[hues]` where a file is named.
+
+    Raises:
+        ResyncError: bad input, or things whose colours cannot be told.
+    """
+    rig = load_rig(config.rig)
+    if config.write is not None:
+        check_target(config.write, config.rig)
+        check_writable(config.write)
+    scan, catalogue = Scan(rig, camera=WRIST), catalogue_of(rig)
+    world = SimWorld(row_task(rig, config.names, config.seed), rig, rendered=True)
+    sensor = NoisySensor(config.seed, rig.camera(WRIST))
+    with SimRobot(world) as robot, NoisyCamera(SimCamera(world, WRIST), sensor) as camera:
+        stream = Stream(robot, rig)
+        frames = scan(lambda q: travel(stream, q), camera.capture)
+    found = find_hues(frames, rig, catalogue)
+    hues = name_hues(config.names, found, catalogue)
+    for name, seen in zip(config.names, found, strict=True):
+        x, y = seen.place
+        known = f"   rig {rig.hues[name]:.3f}" if name in rig.hues else ""
+        say(f"  {name:12s} hue {hues[name]:.3f}, within {seen.spread:.3f}, at ({x:.2f}, {y:.2f}) m{known}")
+    if config.write is not None:
+        update_hues(config.rig, config.write, hues)
+        say(f"Written: {config.write}. Deployments know these things by their colours now (--rig {config.write}).")
+    return 0
