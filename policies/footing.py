@@ -18,11 +18,15 @@ from jaxtyping import Float
 from policies.cartesian import Hand
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.world import Observation
+from resync_robot.learning.recovery_policy import STUD
 
 PRESSED = 0.005
 """m that the hand is sent beneath where it stands: then it rests on something."""
-RISE = 0.002
-"""m above the lowest that it stood since it has pressed. Dragging a block that stands lifts the hand by less."""
+RISE, RISE_STEPS = 0.002, 3
+"""m above the lowest that it stood since it has pressed, for so many control steps: a hand that has struck wobbles by
+as much, but not for as long. Dragging a block that stands lifts the hand by less."""
+ABOVE = 0.001
+"""m above the stud at which no hand rests that presses, unless the block leans."""
 LET_GO_RISE = 0.03
 """m that the hand goes up from a block that leans; pushing it over takes half a metre a second for a tenth of one."""
 LET_GO_STEPS, WAIT_STEPS = 5, 10
@@ -38,11 +42,12 @@ class Footing:
     """Whether what the hand presses on lifts it, or is not beneath it any more.
 
     Attributes:
-        top: height of the block's upper face, its stud not counted, m; of one that is not known, no hand is beside it.
+        top: height of the block's upper face, its stud not counted, m; NaN where nobody measured it.
     """
 
-    top: float = -np.inf
+    top: float = np.nan
     _lowest: float = field(default=np.inf, init=False)
+    _risen: int = field(default=0, init=False)
 
     def gives_way(self, tip_z: float, sent_z: float) -> bool:
         """Look at one control step.
@@ -54,10 +59,12 @@ class Footing:
         if tip_z < self.top - BENEATH:
             return True
         if sent_z > tip_z - PRESSED:
-            self._lowest = np.inf
+            self._lowest, self._risen = np.inf, 0
             return False
         self._lowest = min(self._lowest, tip_z)
-        return tip_z > self._lowest + RISE
+        self._risen = self._risen + 1 if tip_z > self._lowest + RISE else 0
+        stud = self.top + STUD
+        return (self._lowest < stud and tip_z > stud + ABOVE) or self._risen >= RISE_STEPS
 
 
 def press_on(

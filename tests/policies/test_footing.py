@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from policies.cartesian import Hand
-from policies.footing import BENEATH, LET_GO_RISE, PRESSED, RISE, Footing, press_on
+from policies.footing import ABOVE, BENEATH, LET_GO_RISE, PRESSED, RISE, RISE_STEPS, Footing, press_on
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.joints import JointTarget
+from resync_robot.learning.recovery_policy import STUD
 from tests import scenes
 from tests.policies.followers import RIG, Follower
 
@@ -137,8 +138,27 @@ def test_a_hand_in_the_air_feels_nothing(steps: list[tuple[float, float]], heigh
 
 
 @given(st.lists(HEIGHTS, min_size=1, max_size=40))
-def test_only_a_rise_above_the_lowest_is_a_lean(heights: list[float]) -> None:
+def test_only_a_rise_above_the_lowest_that_lasts_is_a_lean(heights: list[float]) -> None:
     footing = Footing()
-    whole = [footing.gives_way(z, z - 2 * PRESSED) for z in heights]
-    lowest = np.minimum.accumulate(heights)
-    assert whole == [bool(z > low + RISE) for z, low in zip(heights, lowest, strict=True)]
+    felt = [footing.gives_way(z, z - 2 * PRESSED) for z in heights]
+    risen = heights > np.minimum.accumulate(heights) + RISE
+    assert felt == [bool(risen[max(0, i + 1 - RISE_STEPS) : i + 1].sum() == RISE_STEPS) for i in range(len(heights))]
+
+
+STRUCK = [14.0, 10.7, 9.2, 10.0, 11.6, 11.5, 10.3, 10.3, 11.5, 11.2, 11.0, 10.2, 11.0]
+"""mm above the block's upper face, of a hand that presses on a block that stood, control step by control step."""
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_hand_that_wobbles_after_it_has_struck_feels_no_lean(known: bool) -> None:
+    footing = Footing(top=0.0) if known else Footing()
+    assert not any(footing.gives_way(z / 1000, -0.01) for z in STRUCK)
+
+
+def test_no_hand_rests_above_the_stud_of_a_block_that_stands() -> None:
+    leaning = [*STRUCK, 11.9, 13.1, 14.4, 15.8]
+    known, unknown = Footing(top=0.0), Footing()
+    assert [known.gives_way(z / 1000, -0.01) for z in leaning].index(True) == len(STRUCK) + 1
+    assert [unknown.gives_way(z / 1000, -0.01) for z in leaning].index(True) == len(STRUCK) + 2
+    # On the way down it has not touched anything yet.
+    assert not any(Footing(top=0.0).gives_way(z, z - 2 * PRESSED) for z in np.linspace(0.05, STUD + 2 * ABOVE, 9))
