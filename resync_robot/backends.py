@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -134,19 +135,30 @@ class Layout:
     seed: int
     episode: int
 
+    def lay_out(self, lab: LabClient) -> None:
+        lab.lay_out(self.domain, self.scenario, self.seed, self.episode)
 
-def open_ur7e(layout: Layout, rig: Rig) -> AbstractContextManager[Devices]:
-    """The UR7e of the rig, with its gripper and cameras, real or emulated.
+
+class Preparation(Protocol):
+    """Has an emulated lab put something before its robot."""
+
+    def lay_out(self, lab: LabClient) -> None: ...
+
+
+def open_ur7e(
+    layout: Preparation, rig: Rig, cameras: Sequence[CameraRig] | None = None
+) -> AbstractContextManager[Devices]:
+    """The UR7e of the rig, with its gripper and cameras (all, or those), real or emulated.
 
     Raises:
         RobotError: no machine answers, or it must not move: one sentence, and what to do.
     """
-    return _Ur7eLab(layout, rig)
+    return _Ur7eLab(layout, rig, rig.cameras if cameras is None else cameras)
 
 
 class _Ur7eLab(AbstractContextManager[Devices]):
-    def __init__(self, layout: Layout, rig: Rig) -> None:
-        self._layout, self._rig, self._stack = layout, rig, ExitStack()
+    def __init__(self, layout: Preparation, rig: Rig, cameras: Sequence[CameraRig]) -> None:
+        self._layout, self._rig, self._cameras, self._stack = layout, rig, cameras, ExitStack()
 
     def __enter__(self) -> Devices:
         try:
@@ -163,14 +175,14 @@ class _Ur7eLab(AbstractContextManager[Devices]):
         robot = Ur7e(rig, gripper)
         if controller.emulated:
             lab = self._stack.enter_context(LabClient(controller.address))
-            lab.lay_out(self._layout.domain, self._layout.scenario, self._layout.seed, self._layout.episode)
+            self._layout.lay_out(lab)
             truth = lab.truth
             self._stack.enter_context(robot)
-            for camera in rig.cameras:
+            for camera in self._cameras:
                 cameras[camera.name] = self._stack.enter_context(EmulatedCamera(lab, rig, camera, robot))
         else:
             self._stack.enter_context(robot)
-            for camera in rig.cameras:
+            for camera in self._cameras:
                 pose = partial(_pose_now, rig, camera, robot)
                 cameras[camera.name] = self._stack.enter_context(RealSense(camera, pose, clock=robot.clock))
         return Devices(robot, cameras, robot.clock, truth, robot.acknowledge_stop)

@@ -19,17 +19,16 @@ from calibration.rig_file import update_rig
 from calibration.shots import Judge, Shot, ShotFolder, read_shots, take, usable
 from hardware.stream import Stream
 from hardware.travel import travel
-from resync_robot.calibration_machine import open_simulated, standing, with_board
+from resync_robot.calibration_machine import Machine, open_machine, poster_of, with_board
 from resync_robot.calibration_settings import CheckConfig, HandEyeConfig, IntrinsicsConfig, LookConfig, check_target
 from resync_robot.core import kinematics
 from resync_robot.core.calibration_record import CalibrationRecord, complaints
-from resync_robot.core.errors import CalibrationError
+from resync_robot.core.errors import CalibrationError, ResyncError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import CameraRig, Rig, load_rig
 from resync_robot.progress import say
 from resync_robot.run_folder import check_writable, default_folder
-from sim_training.calibration_scene import CalibrationWorld, displaced, empty_task
-from sim_training.sensor import NoisySensor
+from sim_training.calibration_scene import Bench, CalibrationWorld, empty_task
 
 SPARE = 1.5
 """Poses proposed for each picture wanted: some pictures are refused."""
@@ -133,13 +132,14 @@ def live(config: CheckConfig) -> int:
     folder = _folder(config)
     limit = max(2.0, rig.calibration_limits.max_px)
     pictures, bad = {}, False
-    task = empty_task(rig, config.seed)
-    reality = CalibrationWorld(task, displaced(load_rig(None), config.seed), None)
-    belief = CalibrationWorld(task, rig, None)
-    belief.built.set_configuration(*standing(reality))
-    for i, camera in enumerate(rig.cameras):
-        sensor = NoisySensor(config.seed * 10 + i, camera)
-        colour = sensor.apply(reality.render(camera.name)).colour
+    belief = CalibrationWorld(empty_task(rig, config.seed), rig, None)
+    bench = Bench(config.seed)
+    with open_machine(config.backend, rig, load_rig(None), bench, rig.cameras, config.seed * 10) as machine:
+        measured = machine.robot.state()
+        seen = {name: camera.capture().colour for name, camera in machine.cameras.items()}
+    belief.built.set_configuration(measured.q, measured.opening)
+    for camera in rig.cameras:
+        colour = seen[camera.name]
         simulated = belief.render(camera.name).colour
         mask = belief.robot_mask(camera.name)
         outline = compare_outline(colour, mask)
@@ -210,13 +210,18 @@ def _folder(config: LookConfig) -> Path:
 @contextmanager
 def _keeping(config: LookConfig, folder: Path) -> Iterator[None]:
     """Say with every error of the calibration where the pictures are."""
+    kept = config.views or folder / "views"
     try:
         yield
     except CalibrationError as error:
-        kept = config.views or folder / "views"
         if not (kept / "shots.json").exists():
             raise
         raise CalibrationError(f"{error.what}. The pictures are kept: --views {kept}", error.fix) from None
+    except ResyncError:
+        # The robot stopped, say.
+        if (kept / "shots.json").exists():
+            say(f"The pictures so far are kept: --views {kept}")
+        raise
 
 
 def _calibrator(config: LookConfig, camera: CameraRig) -> Calibrator:
@@ -231,7 +236,7 @@ def _views(calibrator: Calibrator, rig: Rig, shots: list[Shot], least: int) -> l
 
 
 def _shots(config: LookConfig, rig: Rig, camera: CameraRig, folder: Path) -> tuple[list[Shot], np.ndarray | None]:
-    """The pictures, and the simulator's truth where they were taken just now."""
+    """The pictures, and the simulator's truth where it took them just now."""
     verdicts = Judge(BoardDetector(config.board, camera.intrinsics))
     if config.views is not None:
         shots = read_shots(config.views, camera.name, verdicts)
@@ -248,7 +253,10 @@ def _shots(config: LookConfig, rig: Rig, camera: CameraRig, folder: Path) -> tup
     keep = ShotFolder(folder / "views", camera.name, config.board)
     taken: list[Shot] = []
     rng = np.random.default_rng([draw, 7])
-    with open_simulated(config, camera, board, draw) as machine:
+    bench = Bench(config.seed, poster=poster_of(config.board, camera, board, draw))
+    with open_machine(
+        config.backend, rig, load_rig(None), bench, [camera], draw, JOINT_NOISE, _for_a_person(config, camera)
+    ) as machine:
         stream = Stream(machine.robot, with_board(rig, config.board) if camera.mount == "world" else rig)
         if camera.mount == "world":
             # The sheet is in the hand: the pads close on it.
@@ -256,8 +264,8 @@ def _shots(config: LookConfig, rig: Rig, camera: CameraRig, folder: Path) -> tup
         for shot in take(
             poses,
             lambda q: travel(stream, q),
-            lambda: machine.camera.capture().colour,
-            lambda: machine.robot.state().q + rng.normal(0.0, JOINT_NOISE, 6),
+            lambda: machine.cameras[camera.name].capture().colour,
+            lambda: _joints(machine, rng),
             verdicts,
             camera.name,
         ):
@@ -266,7 +274,20 @@ def _shots(config: LookConfig, rig: Rig, camera: CameraRig, folder: Path) -> tup
             taken.append(shot)
             if sum(isinstance(s.verdict, Sighting) for s in taken) >= config.poses:
                 break
-        return taken, machine.truth
+        return taken, machine.truth.get(camera.name)
+
+
+def _for_a_person(config: LookConfig, camera: CameraRig) -> str:
+    width, height = config.board.size
+    if camera.mount == "world":
+        return f"Hold the board's upper edge between the open pads, printed side towards camera '{camera.name}'."
+    x, y = config.board_at
+    return f"Lay the board ({1000 * width:.0f} x {1000 * height:.0f} mm) flat, its middle at x {x:g}, y {y:g} m."
+
+
+def _joints(machine: Machine, rng: np.random.Generator) -> np.ndarray:
+    q = machine.robot.state().q
+    return q + rng.normal(0.0, machine.joint_noise, 6) if machine.joint_noise else q
 
 
 def _tell(shot: Shot) -> None:

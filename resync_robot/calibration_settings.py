@@ -32,7 +32,8 @@ class LookConfig:
     """What all that take pictures have in common."""
 
     backend: Literal["sim", "ur7e"] = "sim"
-    """The robot and cameras to use. The simulated cameras stand a little off the built-in rig, by --seed."""
+    """The robot and cameras to use; ur7e is the real or emulated one of --rig. Simulated cameras stand a little off the
+    built-in rig, by --seed."""
 
     camera: str = "wrist"
     """Which camera of the rig. For one on the flange the board lies on the table, for others the hand holds it."""
@@ -94,7 +95,7 @@ class NoiseConfig:
     """Measure how noisy a camera is, over an empty table, so that simulation imitates it."""
 
     backend: Literal["sim", "ur7e"] = "sim"
-    """The robot and cameras to use."""
+    """The robot and cameras to use; ur7e is the real or emulated one of --rig."""
 
     camera: str = "wrist"
     """Which camera of the rig."""
@@ -120,7 +121,7 @@ class HuesConfig:
     """What they are called, from the robot's left to its right, such as b0 b1 b2."""
 
     backend: Literal["sim", "ur7e"] = "sim"
-    """The robot and cameras to use."""
+    """The robot and cameras to use; ur7e is the real or emulated one of --rig."""
 
     rig: Path | None = None
     """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
@@ -141,10 +142,17 @@ def check_target(target: Path, rig: Path | None) -> None:
         )
 
 
+def check_backend(backend: str, rig: Path | None) -> None:
+    """Raises ConfigError where a real or emulated robot is meant and none is named."""
+    if backend == "ur7e" and rig is None:
+        raise ConfigError(
+            "--backend ur7e needs the rig file of the machine", "give one with --rig, such as hardware/emulated.toml"
+        )
+
+
 def check_noise(config: NoiseConfig) -> None:
     """Refuse before anything is loaded or moved. Raises ConfigError."""
-    if config.backend != "sim":
-        raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
+    check_backend(config.backend, config.rig)
     if not 5 <= config.frames <= 100:
         raise ConfigError(f"--frames is {config.frames}; allowed: 5 to 100, 12 is good")
     if config.seed < 0:
@@ -153,8 +161,7 @@ def check_noise(config: NoiseConfig) -> None:
 
 def check_hues(config: HuesConfig) -> None:
     """Refuse before anything is loaded or moved. Raises ConfigError."""
-    if config.backend != "sim":
-        raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
+    check_backend(config.backend, config.rig)
     if not 1 <= len(config.names) <= MOST_THINGS:
         raise ConfigError(f"{len(config.names)} names; allowed: 1 to {MOST_THINGS}", "give --names b0 b1 b2")
     if len(set(config.names)) != len(config.names):
@@ -165,8 +172,7 @@ def check_hues(config: HuesConfig) -> None:
 
 def check_look(config: LookConfig) -> None:
     """Refuse before anything is loaded or moved. Raises ConfigError."""
-    if config.backend != "sim":
-        raise ConfigError(f"the backend '{config.backend}' is not part of this version", "use --backend sim")
+    check_backend(config.backend, config.rig)
     if not 1 <= config.poses <= MOST_POSES:
         raise ConfigError(f"--poses is {config.poses}; allowed: 1 to {MOST_POSES}, 20 to 30 are good")
     if not 0.0 <= config.most_tilt <= 60.0:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from calibration.rig_file import update_hues
-from hardware.sim import SimCamera, SimRobot
 from hardware.stream import Stream
 from hardware.travel import travel
 from perception.hues import find_hues, name_hues
 from perception.objects import catalogue_of
 from perception.scan import Scan
-from resync_robot.backends import NoisyCamera
+from resync_robot.calibration_machine import open_machine
 from resync_robot.calibration_settings import HuesConfig, check_target
 from resync_robot.core.rig import load_rig
 from resync_robot.progress import say
 from resync_robot.run_folder import check_writable
-from sim_training.calibration_scene import row_task
-from sim_training.sensor import NoisySensor
-from sim_training.world import SimWorld
+from sim_training.calibration_scene import Bench
 
 WRIST = "wrist"
 """The camera that scans."""
@@ -33,11 +30,13 @@ def measure_hues(config: HuesConfig) -> int:
         check_target(config.write, config.rig)
         check_writable(config.write)
     scan, catalogue = Scan(rig, camera=WRIST), catalogue_of(rig)
-    world = SimWorld(row_task(rig, config.names, config.seed), rig, rendered=True)
-    sensor = NoisySensor(config.seed, rig.camera(WRIST))
-    with SimRobot(world) as robot, NoisyCamera(SimCamera(world, WRIST), sensor) as camera:
-        stream = Stream(robot, rig)
-        frames = scan(lambda q: travel(stream, q), camera.capture)
+    bench, words = (
+        Bench(config.seed, config.names),
+        f"Stand these, left to right, on the bare table: {', '.join(config.names)}.",
+    )
+    with open_machine(config.backend, rig, rig, bench, [rig.camera(WRIST)], config.seed, 0.0, words) as machine:
+        stream = Stream(machine.robot, rig)
+        frames = scan(lambda q: travel(stream, q), machine.cameras[WRIST].capture)
     found = find_hues(frames, rig, catalogue)
     hues = name_hues(config.names, found, catalogue)
     for name, seen in zip(config.names, found, strict=True):

@@ -6,21 +6,20 @@ from dataclasses import asdict
 
 from calibration.depth_noise import fit_noise
 from calibration.rig_file import update_rig
-from hardware.sim import SimCamera, SimRobot
 from hardware.stream import Stream
 from hardware.travel import travel
 from perception.scan import Scan
-from resync_robot.backends import NoisyCamera
+from resync_robot.calibration_machine import open_machine
 from resync_robot.calibration_settings import NoiseConfig, check_target
 from resync_robot.core.rig import load_rig
 from resync_robot.core.world import CameraFrame
 from resync_robot.progress import say
 from resync_robot.run_folder import check_writable
-from sim_training.calibration_scene import CalibrationWorld, displaced, empty_task
-from sim_training.sensor import NoisySensor
+from sim_training.calibration_scene import Bench
 
 PLACES = ((0.42, -0.12), (0.42, 0.12), (0.55, 0.0))
 """(x, y) on the table, m, that a camera on the flange looks at."""
+CLEAR = "Clear the table where the camera looks."
 
 
 def measure_noise(config: NoiseConfig) -> int:
@@ -34,16 +33,14 @@ def measure_noise(config: NoiseConfig) -> int:
     if config.write is not None:
         check_target(config.write, config.rig)
         check_writable(config.write)
-    # This very camera, a little off its place: what the simulation imitates of it is what should be found again.
-    reality = displaced(rig, config.seed)
-    world = CalibrationWorld(empty_task(reality, config.seed), reality, None)
-    sensor = NoisySensor(config.seed, reality.camera(camera.name))
-    stills: list[list[CameraFrame]] = []
-    with SimRobot(world) as robot, NoisyCamera(SimCamera(world, camera.name), sensor) as device:
+    # In simulation this very camera: what the simulation imitates of it is what should be found again.
+    with open_machine(config.backend, rig, rig, Bench(config.seed), [camera], config.seed, 0.0, CLEAR) as machine:
+        device = machine.cameras[camera.name]
+        stills: list[list[CameraFrame]] = []
         if camera.mount == "world":
             stills.append([device.capture() for _ in range(config.frames)])
         else:
-            stream = Stream(robot, rig)
+            stream = Stream(machine.robot, rig)
             scan = Scan(rig, camera=camera.name)
             for place in PLACES:
                 for q in scan.towards(place, count=1):

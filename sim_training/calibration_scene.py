@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import colorsys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
+import cv2
 import numpy as np
 import sapien
 from jaxtyping import Bool, Float, UInt8
@@ -39,6 +41,47 @@ class Poster:
     size: tuple[float, float]
     mount: Literal["world", "flange"]
     pose: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What stands before a robot that is calibrated.
+
+    Attributes:
+        seed: of where the cameras really stand, and of the colours of things.
+        names: of things in a row on the table, from the robot's left to its right.
+        poster: a board, on the table or in the hand.
+    """
+
+    seed: int
+    names: tuple[str, ...] = ()
+    poster: Poster | None = None
+
+    def task(self, rig: Rig) -> Task:
+        return row_task(rig, self.names, self.seed) if self.names else empty_task(rig, self.seed)
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data, for the side door of an emulated lab."""
+        if self.poster is None:
+            return {"seed": self.seed, "names": list(self.names)}
+        p = self.poster
+        png = base64.b64encode(cv2.imencode(".png", p.image)[1].tobytes()).decode()
+        poster = {"image": png, "size": list(p.size), "mount": p.mount, "pose": p.pose.tolist()}
+        return {"seed": self.seed, "names": list(self.names), "poster": poster}
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Bench:
+        """The inverse of `to_json`. Raises ValueError, KeyError or TypeError on anything else."""
+        poster = None
+        if data.get("poster") is not None:
+            given = data["poster"]
+            image = cv2.imdecode(np.frombuffer(base64.b64decode(given["image"]), np.uint8), cv2.IMREAD_GRAYSCALE)
+            pose = np.array(given["pose"], dtype=np.float64)
+            if image is None or pose.shape != (4, 4) or given["mount"] not in ("world", "flange"):
+                raise ValueError("no poster")
+            width, height = given["size"]
+            poster = Poster(image, (float(width), float(height)), given["mount"], pose)
+        return Bench(int(data["seed"]), tuple(map(str, data["names"])), poster)
 
 
 def displaced(rig: Rig, seed: int) -> Rig:

@@ -27,6 +27,7 @@ from hardware.emulator.server import Emulator
 from resync_robot.core.errors import ConfigError, ResyncError
 from resync_robot.core.rig import Rig
 from resync_robot.core.task import Task
+from sim_training.calibration_scene import Bench, displaced
 from sim_training.domains import find_domain, world_task
 from sim_training.mine import is_at_rest
 from sim_training.world import SimWorld
@@ -82,8 +83,11 @@ class Lab:
         do = question.get("do")
         if do == "lay out":
             self.emulator.call(lambda: self._lay_out(self._scene(question)), LAYOUT_LIMIT_S)
-            self._pictures.lay_out({k: question[k] for k in ("domain", "scenario", "seed", "episode")})
-            return {}, b""
+            self._pictures.lay_out({k: v for k, v in question.items() if k != "do"})
+            if "bench" not in question:
+                return {}, b""
+            cameras = displaced(self.rig, Bench.from_json(question["bench"]).seed).cameras
+            return {"cameras": {c.name: c.pose.tolist() for c in cameras}}, b""
         if do == "truth":
             return {"objects": self.emulator.call(self._truth).to_json()}, b""
         if do == "picture":
@@ -95,6 +99,8 @@ class Lab:
         raise ConfigError(f"the side door does not know '{do}'", "it knows: lay out, truth, picture")
 
     def _scene(self, question: dict[str, Any]) -> Task:
+        if "bench" in question:
+            return Bench.from_json(question["bench"]).task(self.rig)
         domain = find_domain(str(question["domain"]))
         domain.scenario(str(question["scenario"]))
         return world_task(domain, str(question["scenario"]), int(question["seed"]), int(question["episode"]))

@@ -13,7 +13,9 @@ from sapien import Pose
 from resync_robot.core import spatial
 from resync_robot.core.errors import ResyncError
 from resync_robot.core.rig import Rig, load_rig
+from resync_robot.core.task import Task
 from resync_robot.core.world import Window
+from sim_training.calibration_scene import Bench, CalibrationWorld, displaced
 from sim_training.domains import find_domain, world_task
 from sim_training.motion import camera_motion
 from sim_training.scene import place_camera
@@ -27,14 +29,12 @@ class Pictures:
     """Renders one scene after the other, each camera a little off where the rig has it, as a calibrated one is."""
 
     def __init__(self, rig: Rig) -> None:
-        self._rig = rig
+        self._rig, self._real, self._calibrated = rig, rig, True
         self._world: SimWorld | None = None
 
     def answer(self, request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
         if "scene" in request:
-            s = request["scene"]
-            task = world_task(find_domain(s["domain"]), s["scenario"], s["seed"], s["episode"])
-            self._world = SimWorld(task, self._rig, rendered=True)
+            task, self._world = self._lay_out(request["scene"])
             self._rng = np.random.default_rng(task.seed)
             self._sensors = {c.name: NoisySensor(task.seed * 10 + i, c) for i, c in enumerate(self._rig.cameras)}
             self._errors: dict[str, np.ndarray] = {}
@@ -42,6 +42,17 @@ class Pictures:
             self._world.render(self._rig.cameras[0].name)
             return {}, b""
         return self._picture(request)
+
+    def _lay_out(self, scene: dict[str, Any]) -> tuple[Task, SimWorld]:
+        if "bench" in scene:
+            bench = Bench.from_json(scene["bench"])
+            # What a calibration is to find out, instead of what one leaves.
+            self._real, self._calibrated = displaced(self._rig, bench.seed), False
+            task = bench.task(self._real)
+            return task, CalibrationWorld(task, self._real, bench.poster)
+        self._real, self._calibrated = self._rig, True
+        task = world_task(find_domain(scene["domain"]), scene["scenario"], scene["seed"], scene["episode"])
+        return task, SimWorld(task, self._rig, rendered=True)
 
     def _picture(self, request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
         """A whole picture, or the colours of a window of one."""
@@ -61,7 +72,7 @@ class Pictures:
                 raise ResyncError(f"a window of {size} pixels; allowed: 1 to {MAX_WINDOW_PX}")
             colour = sensor.colour(world.render_window(name, window, size, error).colour)
             return {"height": size, "width": size}, colour.tobytes()
-        rig = self._rig.camera(name)
+        rig = self._real.camera(name)
         place_camera(world.built.cameras[name], rig, rig.pose @ error)
         motion = camera_motion(self._rig, name, np.array(request["q"]), np.array(request.get("qd", np.zeros(6))))
         frame = sensor.apply(world.render(name), motion)
@@ -71,6 +82,8 @@ class Pictures:
 
     def _error(self, name: str) -> np.ndarray:
         """Where a camera stands beside its calibrated pose: on the flange anew with every view, else once."""
+        if not self._calibrated:
+            return np.eye(4)
         rig = self._rig.camera(name)
         if rig.mount == "flange" or name not in self._errors:
             self._errors[name] = spatial.transform(

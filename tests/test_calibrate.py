@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import colorsys
+import io
+import subprocess
+import sys
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import date, timedelta
 from pathlib import Path
@@ -22,12 +27,35 @@ from resync_robot.core.errors import MotionError, RenderError
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.deploy import DeployConfig, calibration_complaints
 from sim_training.calibration_scene import CalibrationWorld, displaced, empty_task, row_task
+from tests import emulators
 from tests.calibration import synthetic
+from tests.emulators import RIG_FILE
 
 RECORD = CalibrationRecord(
     calibrated="2026-01-01", checked="2026-01-01", method="eye-in-hand", views=20, left_out=1,
     held_out_mm=0.5, held_out_deg=0.2, held_out_px=0.3,
 )  # fmt: skip
+
+
+def emulated_rig(folder: Path) -> Path:
+    """The emulated rig at an address of its own."""
+    rig = folder / "lab.toml"
+    rig.write_text(RIG_FILE.read_text().replace('"127.0.0.1"', f'"{emulators.address()}"'))
+    return rig
+
+
+@contextmanager
+def lab(folder: Path) -> Iterator[Path]:
+    """An emulated lab in a process of its own; its rig file."""
+    emulators.need_client()
+    rig = emulated_rig(folder)
+    words = [sys.executable, "-m", "resync_robot", "emulate", "--rig", str(rig)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None and "stands at" in process.stdout.readline()
+            yield rig
+        finally:
+            process.terminate()
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +107,8 @@ def stored(
         (("board", "--board.dictionary", "9x9"), "valid: 4x4_50"),
         (("board", "--out", "/dev/null/board.pdf"), "cannot write /dev/null/board.pdf"),
         (("hand-eye", "--camera", "back"), "unknown camera 'back'"),
-        (("hand-eye", "--backend", "ur7e"), "use --backend sim"),
+        (("hand-eye", "--backend", "ur7e"), "--backend ur7e needs the rig file"),
+        (("check", "--live", "--backend", "ur7e"), "--rig, such as hardware/emulated.toml"),
         (("hand-eye", "--poses", "0"), "--poses is 0"),
         (("hand-eye", "--most-tilt", "80"), "--most-tilt is 80"),
         (("hand-eye", "--seed", "-1"), "--seed is -1"),
@@ -88,8 +117,8 @@ def stored(
         (("hand-eye", "--views", "nowhere"), "no pictures in nowhere"),
         (("noise", "--frames", "2"), "--frames is 2"),
         (("noise", "--camera", "back"), "front, side, wrist"),
-        (("noise", "--backend", "ur7e"), "use --backend sim"),
-        (("hues", "--names", "b0", "--backend", "ur7e"), "use --backend sim"),
+        (("noise", "--backend", "ur7e"), "--backend ur7e needs the rig file"),
+        (("hues", "--names", "b0", "--backend", "ur7e"), "--backend ur7e needs the rig file"),
         (("hues", "--names", "b0", "b0"), "has a name twice"),
         (("hues", "--names", "a", "b", "c", "d", "e"), "allowed: 1 to 4"),
         (("hues", "--names", "b0", "--rig", "absent.toml"), "absent.toml"),
@@ -114,6 +143,33 @@ def test_bad_input_is_one_error_with_code_2(
     assert shown.err.startswith("error: ") and word in shown.err
     assert "Traceback" not in shown.err and shown.out == ""
     assert not list(tmp_path.rglob("*.toml")) and not list(tmp_path.rglob("*.p*"))
+
+
+@pytest.mark.parametrize(
+    "words", [("hand-eye", "--camera", "wrist"), ("check", "--live"), ("noise",), ("hues", "--names", "b0")]
+)
+def test_a_machine_that_does_not_answer(
+    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rig = emulated_rig(tmp_path)
+    before = rig.read_text()
+    assert run(*words, "--backend", "ur7e", "--rig", str(rig), "--seed", "1") == 2
+    assert "resync-robot emulate" in capsys.readouterr().err
+    assert rig.read_text() == before
+
+
+def test_a_real_machine_waits_for_a_person_before_it_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    rig = emulated_rig(tmp_path)
+    rig.write_text(rig.read_text().replace("emulated = true", "emulated = false"))
+    for camera, word in (("wrist", "Lay the board (192 x 256 mm) flat"), ("front", "between the open pads")):
+        assert run("hand-eye", "--camera", camera, "--backend", "ur7e", "--rig", str(rig)) == 2
+        shown = capsys.readouterr()
+        assert word in shown.out and "nobody is there to do this" in shown.err
 
 
 def test_a_rig_file_that_lies_there_is_not_replaced_by_the_built_in_one(
@@ -271,3 +327,35 @@ def test_a_camera_of_another_size_and_noise_is_measured_as_what_it_is(
     assert found.width == 2 * wrist.width
     assert found.noise.disparity_sigma_px == pytest.approx(0.2, rel=0.1)
     assert found.noise.colour_sigma == pytest.approx(5.0, rel=0.2)
+
+
+@pytest.mark.realtime
+def test_the_protocols_of_a_real_arm_serve_as_well(
+    renderer: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with lab(tmp_path) as rig:
+        found = ("--backend", "ur7e", "--rig", str(rig), "--write", "mine.toml", "--seed", "5")
+        assert run("hues", "--names", "b0", "b1", *found) == 0
+        assert run("check", "--live", "--backend", "ur7e", "--rig", str(rig), "--seed", "5") == 3, (
+            "cameras were knocked"
+        )
+    true = row_task(load_rig(), ("b0", "b1"), 5).physics["colours"]
+    for name, hue in load_rig(Path("mine.toml")).hues.items():
+        assert apart(hue, colorsys.rgb_to_hsv(*true[name])[0]) < 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.parametrize("camera", ["wrist", "front"])
+def test_a_knocked_camera_of_an_emulated_arm_is_found_again(
+    renderer: None, camera: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with lab(tmp_path) as rig:
+        words = ("--camera", camera, "--backend", "ur7e", "--rig", str(rig), "--seed", "3")
+        assert run("hand-eye", *words, "--poses", "16", "--write", "mine.toml") == 0
+    found, true = load_rig(Path("mine.toml")).camera(camera), displaced(load_rig(rig), 3).camera(camera)
+    off = spatial.inverse(true.pose) @ found.pose
+    assert 1000 * np.linalg.norm(off[:3, 3]) < 1.5
+    assert np.degrees(np.linalg.norm(spatial.rotation_vector(off[:3, :3]))) < 0.2

@@ -67,6 +67,19 @@ class LabClient(Connected):
         """Put the scene of that episode before the robot, which stands at its home again."""
         self.ask({"do": "lay out", "domain": domain, "scenario": scenario, "seed": seed, "episode": episode})
 
+    def lay_out_bench(self, bench: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """Put what a calibration looks at before the robot, as `sim_training.calibration_scene.Bench` has it.
+
+        Returns:
+            (4, 4) where each camera really is in its mount, by name.
+        """
+        head, _ = self.ask({"do": "lay out", "bench": bench})
+        with _sense():
+            poses = {
+                str(name): np.array(pose, dtype=np.float64).reshape(4, 4) for name, pose in head["cameras"].items()
+            }
+        return poses
+
     def truth(self) -> State:
         """Where everything really is."""
         head, _ = self.ask({"do": "truth"})
