@@ -72,4 +72,8 @@ def calibrate(config: CalibrateConfig) -> int:
         return calibration_run.intrinsics(what)
     if isinstance(what, HandEyeConfig):
         return calibration_run.hand_eye(what)
-    return calibration_run.live(what) if what.live else calibration_run.check(what)
+    if what.live:
+        from resync_robot.calibration_live import live
+
+        return live(what)
+    return calibration_run.check(what)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -15,10 +16,12 @@ from hardware.emulator.lab import LabClient
 from hardware.sim import SimCamera, SimRobot
 from hardware.ur7e import require_controller
 from resync_robot.backends import NoisyCamera, open_ur7e
+from resync_robot.calibration_settings import LookConfig
 from resync_robot.core import spatial
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.progress import say
+from resync_robot.run_folder import check_writable, default_folder
 from sim_training.calibration_scene import Bench, CalibrationWorld, Poster, displaced
 from sim_training.sensor import NoisySensor
 
@@ -39,6 +42,13 @@ class Machine:
     cameras: Mapping[str, Camera]
     truth: Mapping[str, np.ndarray] = field(default_factory=dict)
     joint_noise: float = 0.0
+
+
+def picture_folder(config: LookConfig) -> Path:
+    """Where pictures and overlays go. Raises ConfigError where nothing can be written."""
+    folder = config.out or default_folder(f"calibrate-{config.camera}")
+    check_writable(folder / "probe")
+    return folder
 
 
 def with_board(rig: Rig, spec: BoardSpec) -> Rig:

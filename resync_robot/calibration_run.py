@@ -13,13 +13,13 @@ from calibration.detect import BoardDetector, Rejected, Sighting
 from calibration.hand_eye import Calibrator, HandEye, Noise, View, difference
 from calibration.intrinsics import LEAST_VIEWS, check_intrinsics
 from calibration.judge import Errors, board_by, held_out, judge
-from calibration.overlay import SEARCH_PX, compare_outline, draw_corners, draw_scene, save_picture
+from calibration.overlay import draw_corners, save_picture
 from calibration.propose import Proposer, Reach, board_in_hand, board_on_table
 from calibration.rig_file import update_rig
 from calibration.shots import Judge, Shot, ShotFolder, read_shots, take, usable
 from hardware.stream import Stream
 from hardware.travel import travel
-from resync_robot.calibration_machine import Machine, open_machine, poster_of, with_board
+from resync_robot.calibration_machine import Machine, open_machine, picture_folder, poster_of, with_board
 from resync_robot.calibration_settings import CheckConfig, HandEyeConfig, IntrinsicsConfig, LookConfig, check_target
 from resync_robot.core import kinematics
 from resync_robot.core.calibration_record import CalibrationRecord, complaints
@@ -27,8 +27,8 @@ from resync_robot.core.errors import CalibrationError, ResyncError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import CameraRig, Rig, load_rig
 from resync_robot.progress import say
-from resync_robot.run_folder import check_writable, default_folder
-from sim_training.calibration_scene import Bench, CalibrationWorld, empty_task
+from resync_robot.run_folder import check_writable
+from sim_training.calibration_scene import Bench
 
 SPARE = 1.5
 """Poses proposed for each picture wanted: some pictures are refused."""
@@ -51,7 +51,7 @@ def hand_eye(config: HandEyeConfig) -> int:
     target = config.write or config.rig or Path("rig.toml")
     check_target(target, config.rig)
     check_writable(target)
-    folder = _folder(config)
+    folder = picture_folder(config)
     with _keeping(config, folder):
         shots, truth = _shots(config, rig, camera, folder)
         calibrator = _calibrator(config, camera)
@@ -91,7 +91,7 @@ def check(config: CheckConfig) -> int:
     rig, camera = _rig_and_camera(config)
     if config.rig is not None:
         check_writable(config.rig)
-    folder = _folder(config)
+    folder = picture_folder(config)
     with _keeping(config, folder):
         shots, _ = _shots(config, rig, camera, folder)
         calibrator = _calibrator(config, camera)
@@ -120,56 +120,13 @@ def check(config: CheckConfig) -> int:
     return 3 if bad else 0
 
 
-def live(config: CheckConfig) -> int:
-    """Draw the scene as the rig file has it over what every camera sees, and measure the robot's outline.
-
-    Returns:
-        0 where the outline of every camera that sees the robot is within the rig's limit, rounded up to 2 px, else 3.
-    """
-    from resync_robot.drawing import save_pictures
-
-    rig = load_rig(config.rig)
-    folder = _folder(config)
-    limit = max(2.0, rig.calibration_limits.max_px)
-    pictures, bad = {}, False
-    belief = CalibrationWorld(empty_task(rig, config.seed), rig, None)
-    bench = Bench(config.seed)
-    with open_machine(config.backend, rig, load_rig(None), bench, rig.cameras, config.seed * 10) as machine:
-        measured = machine.robot.state()
-        seen = {name: camera.capture().colour for name, camera in machine.cameras.items()}
-    belief.built.set_configuration(measured.q, measured.opening)
-    for camera in rig.cameras:
-        colour = seen[camera.name]
-        simulated = belief.render(camera.name).colour
-        mask = belief.robot_mask(camera.name)
-        outline = compare_outline(colour, mask)
-        if outline is None:
-            text = "the robot is not in the picture"
-        else:
-            wrong = outline.error_px > limit
-            bad |= wrong
-            dx, dy = outline.shift_px
-            text = f"robot off by {dx:+.0f}, {dy:+.0f} px, outline within {outline.misfit_px:.1f} px"
-            if outline.at_the_limit:
-                text = f"robot off by {SEARCH_PX} px or more"
-            text += f"; allowed: {limit:g} px" if wrong else ""
-        say(f"Camera '{camera.name}': {text}.")
-        pictures[camera.name] = draw_scene(colour, simulated, mask, f"{camera.name}: {text}")
-        save_picture(folder / f"live-{camera.name}.png", pictures[camera.name])
-    save_pictures(pictures, folder / "live.rrd")
-    say(f"Left the camera, right the simulation over it: {folder}/live-*.png, and in Rerun: rerun {folder}/live.rrd")
-    if bad:
-        say("Where it is off the camera was moved: resync-robot calibrate hand-eye --camera NAME.")
-    return 3 if bad else 0
-
-
 def intrinsics(config: IntrinsicsConfig) -> int:
     """Compare the rig file's camera matrix with one estimated from pictures of the board."""
     rig, camera = _rig_and_camera(config)
     if config.write is not None:
         check_target(config.write, config.rig)
         check_writable(config.write)
-    folder = _folder(config)
+    folder = picture_folder(config)
     with _keeping(config, folder):
         shots, _ = _shots(config, rig, camera, folder)
         seen = [sighting.corners for _, sighting in usable(shots, LEAST_VIEWS)]
@@ -199,12 +156,6 @@ def _rig_and_camera(config: LookConfig) -> tuple[Rig, CameraRig]:
 
 def _kind(camera: CameraRig) -> str:
     return "eye-in-hand" if camera.mount == "flange" else "eye-to-base"
-
-
-def _folder(config: LookConfig) -> Path:
-    folder = config.out or default_folder(f"calibrate-{config.camera}")
-    check_writable(folder / "probe")
-    return folder
 
 
 @contextmanager
