@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from resync_robot import __version__, cli, evaluate
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.library import save_library
+from resync_robot.planning.execute import ExecuteSettings
 from sim_training.domains import find_domain, world_task
 from tests.libraries import DOMAIN, given_library
 
@@ -176,8 +177,9 @@ def test_episodes_are_run_counted_and_written(
         ("s0", 0, 1, False),
     ]
     for episode in written["episodes"]:
-        assert episode["skills_run"] == ["Pick(r, b0)"] * 3
-        assert (episode["skills"], episode["end"]) == (3, "stuck")
+        attempts = ExecuteSettings().max_failures
+        assert episode["skills_run"] == ["Pick(r, b0)"] * attempts
+        assert (episode["skills"], episode["end"]) == (attempts, "stuck")
     provenance = written["provenance"]
     assert provenance["version"] == __version__
     assert provenance["libraries"] == [row["library_hash"]] == [given_library().content_hash]
