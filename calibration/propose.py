@@ -6,20 +6,21 @@ rest those are taken that are least alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from calibration.board import BoardSpec
 from calibration.detect import project
-from hardware.room import heights
+from hardware.base import SafetyError
+from hardware.room import Room, heights
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import CameraRig, Rig
 
 CANDIDATES = 1200
-PATH_STEP = 0.1
+PATH_STEP = 0.05
 """rad between the points at which a way is checked."""
 TILT_WEIGHT = 0.4
 """m a rad: how much a turn counts against a shift where views are compared."""
@@ -56,6 +57,11 @@ def board_in_hand(spec: BoardSpec, rig: Rig, depth: float = 0.02) -> Float[np.nd
     return spatial.transform(rotation, np.array([-spec.size[0] / 2, 0.0, rig.gripper.tip_offset - depth]))
 
 
+def with_board(rig: Rig, spec: BoardSpec) -> Rig:
+    """The rig with a longer hand, so that the safety gate keeps the held board off the table too."""
+    return replace(rig, gripper=replace(rig.gripper, tip_offset=rig.gripper.tip_offset + spec.size[1]))
+
+
 class Proposer:
     """Poses for one camera.
 
@@ -82,6 +88,7 @@ class Proposer:
         tips = spatial.apply(rig.gripper.flange_T_tip, np.array([[0, y, 0] for y in (-0.08, 0.0, 0.08)]))
         # What the flange carries, in its frame.
         self._carried = np.concatenate([tips, spatial.apply(other_T_board, corners)]) if self.held else tips
+        self._room = Room(with_board(rig, spec) if self.held else rig)
         self._keep_off = np.array([c.pose[:3, 3] for c in rig.cameras if c.mount == "world"]).reshape(-1, 3)
 
     def __call__(self, count: int, seed: int = 0) -> list[Float[np.ndarray, "6"]]:
@@ -159,8 +166,17 @@ class Proposer:
                 carried[:, 2].min() > reach.least_height
                 and joints[1:, 2].min() > reach.least_link_height
                 and near > reach.least_distance
+                and self._is_allowed(q[i : i + 1])
             )
         return found
+
+    def _is_allowed(self, q: Float[np.ndarray, "1 6"]) -> bool:
+        """Would the safety gate let it pass? It ends the round otherwise."""
+        try:
+            self._room.check(q)
+        except SafetyError:
+            return False
+        return True
 
     def _spread(self, seen: Float[np.ndarray, "n 4 4"], count: int) -> list[int]:
         """Indices of views that are least alike, the most different first."""

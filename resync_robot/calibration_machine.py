@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -49,11 +49,6 @@ def picture_folder(config: LookConfig) -> Path:
     folder = config.out or default_folder(f"calibrate-{config.camera}")
     check_writable(folder / "probe")
     return folder
-
-
-def with_board(rig: Rig, spec: BoardSpec) -> Rig:
-    """The rig with a longer hand, so that the safety gate keeps the held board off the table too."""
-    return replace(rig, gripper=replace(rig.gripper, tip_offset=rig.gripper.tip_offset + spec.size[1]))
 
 
 def poster_of(spec: BoardSpec, camera: CameraRig, board: np.ndarray, draw: int) -> Poster:

@@ -14,12 +14,12 @@ from calibration.hand_eye import Calibrator, HandEye, Noise, View, difference
 from calibration.intrinsics import LEAST_VIEWS, check_intrinsics
 from calibration.judge import Errors, board_by, held_out, judge
 from calibration.overlay import draw_corners, save_picture
-from calibration.propose import Proposer, Reach, board_in_hand, board_on_table
+from calibration.propose import Proposer, Reach, board_in_hand, board_on_table, with_board
 from calibration.rig_file import update_rig
 from calibration.shots import Judge, Shot, ShotFolder, read_shots, take, usable
 from hardware.stream import Stream
 from hardware.travel import travel
-from resync_robot.calibration_machine import Machine, open_machine, picture_folder, poster_of, with_board
+from resync_robot.calibration_machine import Machine, open_machine, picture_folder, poster_of
 from resync_robot.calibration_settings import CheckConfig, HandEyeConfig, IntrinsicsConfig, LookConfig, check_target
 from resync_robot.core import kinematics
 from resync_robot.core.calibration_record import CalibrationRecord, complaints

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from calibration.detect import project
-from calibration.propose import Proposer, Reach, apart, board_in_hand, board_on_table
+from calibration.propose import Proposer, Reach, apart, board_in_hand, board_on_table, with_board
+from hardware.room import Room
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import load_rig
 from tests.calibration.synthetic import SPEC
+from tests.emulators import RIG_FILE
 
 RIG = load_rig()
 
@@ -46,6 +48,20 @@ def test_proposed_poses_show_the_board_tilted_and_keep_clear(name: str) -> None:
     steps = np.linspace(0, 1, 7)[:, None]
     for begin, end in zip([RIG.arm.home, *poses], poses, strict=False):
         assert propose.clear((begin + steps * (end - begin))[1:]).all()
+
+
+@pytest.mark.parametrize("name", ["wrist", "front"])
+def test_the_safety_gate_of_a_real_arm_lets_the_whole_round_pass(name: str) -> None:
+    rig = load_rig(RIG_FILE)
+    camera = rig.camera(name)
+    board = board_on_table(SPEC, (0.48, 0.0)) if camera.mount == "flange" else board_in_hand(SPEC, rig)
+    room = Room(rig if camera.mount == "flange" else with_board(rig, SPEC))
+    steps = np.linspace(0, 1, 40)[:, None]
+    for seed in (0, 3):
+        here = rig.arm.home
+        for q in Proposer(rig, camera, SPEC, board)(24, seed):
+            room.check(here + steps * (q - here))
+            here = q
 
 
 def test_the_same_seed_proposes_the_same() -> None:
