@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from policies.cartesian import Hand
+from policies.cartesian import GIVE_IN_STEP, Hand
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.world import Observation
 from resync_robot.learning.recovery_policy import STUD
@@ -78,7 +78,9 @@ def press_on(
     """
     begin, tip = hand.position.copy(), hand.tip()
     if begin[2] < tip[2] - PRESSED and goal[2] > begin[2] + LIFT_STEP:
-        goal = np.array([*tip[:2], goal[2]])
+        behind = tip[:2] - begin[:2]
+        share = min(1.0, GIVE_IN_STEP * steps / max(float(np.linalg.norm(behind)), 1e-9))
+        goal = np.array([*(begin[:2] + share * behind), goal[2]])
     for i in range(1, steps + 1):
         hand.position = begin + (goal - begin) * i / steps
         hand.last = yield hand.target()
@@ -87,7 +89,9 @@ def press_on(
     else:
         return True
     begin, goal = hand.position.copy(), hand.tip() + [0.0, 0.0, LET_GO_RISE]
-    for i in range(1, LET_GO_STEPS + WAIT_STEPS + 1):
-        hand.position = begin + (goal - begin) * min(1.0, i / LET_GO_STEPS)
+    # From far beneath where it stands, and from far ahead of it, it takes more steps: an arm is not to jump.
+    up = max(LET_GO_STEPS, int(np.ceil(np.linalg.norm(goal - begin) / GIVE_IN_STEP)))
+    for i in range(1, up + WAIT_STEPS + 1):
+        hand.position = begin + (goal - begin) * min(1.0, i / up)
         hand.last = yield hand.target()
     return False

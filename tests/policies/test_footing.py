@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from policies.cartesian import Hand
+from policies.cartesian import GIVE_IN_STEP, Hand
 from policies.footing import ABOVE, BENEATH, LET_GO_RISE, PRESSED, RISE, RISE_STEPS, Footing, press_on
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.joints import JointTarget
@@ -162,3 +162,23 @@ def test_no_hand_rests_above_the_stud_of_a_block_that_stands() -> None:
     assert [unknown.gives_way(z / 1000, -0.01) for z in leaning].index(True) == len(STRUCK) + 2
     # On the way down it has not touched anything yet.
     assert not any(Footing(top=0.0).gives_way(z, z - 2 * PRESSED) for z in np.linspace(0.05, STUD + 2 * ABOVE, 9))
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.05, 0.15])
+def test_a_hand_that_was_sent_far_ahead_comes_back_without_a_jump(ahead: float) -> None:
+    lifting, sinking = Footing(), Footing(top=FLOOR + BENEATH + 1e-3)
+    for footing, up in ((lifting, 0.015), (sinking, 0.0)):
+        world = Top(SCENE)
+        hand = pressing(world, Footing())
+        hand.position += [ahead, 0.0, -0.02]
+        before, sent = hand.position.copy(), []
+        motion = press_on(hand, hand.position + [0.0, 0.0, up], 5, footing)
+        next(motion)
+        while True:
+            sent.append(hand.position.copy())
+            try:
+                motion.send(world.observe())
+            except StopIteration:
+                break
+        steps = np.linalg.norm(np.diff([before, *sent], axis=0), axis=1)
+        assert steps.max() < GIVE_IN_STEP + up / 5 + 1e-6
