@@ -105,10 +105,9 @@ class Guard:
         self._check_block(q[None], np.array([opening], dtype=np.float64))
         self._room.check_frames(self._room.frames(q[None]))
 
-    def tip_speed(self, setpoints: Float[np.ndarray, "n 6"], beneath: float = np.inf) -> float:
-        """m/s; the fastest of the tip on the way from the last setpoint through these, where it is lower than `beneath`
-        (m in the world)."""
-        return self._tip_speed(*self._sampled(self._past, setpoints), beneath)
+    def tip_speed(self, setpoints: Float[np.ndarray, "n 6"]) -> float:
+        """m/s; the fastest of the tip on the way from the last setpoint through these."""
+        return self._tip_speed(*self._sampled(self._past, setpoints))
 
     def check(
         self,
@@ -197,11 +196,9 @@ class Guard:
         frames = self._room.frames(np.concatenate([past[-1:], setpoints])[rows])
         return frames, np.diff(rows) * SERVO_PERIOD
 
-    def _tip_speed(self, frames: np.ndarray, seconds: np.ndarray, beneath: float = np.inf) -> float:
-        tips = self._room.tips(frames)
-        low = np.minimum(tips[1:, 2], tips[:-1, 2]) < beneath
-        ways = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-        return float((ways / seconds)[low].max(initial=0.0))
+    def _tip_speed(self, frames: np.ndarray, seconds: np.ndarray) -> float:
+        ways = np.linalg.norm(np.diff(self._room.tips(frames), axis=0), axis=1)
+        return float((ways / seconds).max(initial=0.0))
 
     def _check_tip_speed(self, frames: np.ndarray, seconds: np.ndarray) -> None:
         if self._controller is None or self._controller.full_speed:

@@ -49,10 +49,10 @@ FIRST_RUN_PACE = 0.25
 """Share of every speed until the motions have been confirmed at a machine. The path is the same, in more time."""
 PACE_MARGIN = 0.8
 """Of the tip's speed limit then, at which a target is given still more time: the guard holds the limit itself."""
-PRESSING_SPEED, PRESSING_BENEATH = 0.12, 0.13
-"""m/s of the tip of an arm that yields, where it is lower than so many m in the world: it takes back what it ran ahead
-only as fast as its limits allow. At 0.2 m/s the simulated arm hit a block with 350 N within 10 ms, before any setpoint
-could answer. Higher up there is nothing that it is made to press on, and it moves as it always does."""
+PRESSING_SPEED = 0.12
+"""m/s of the tip of an arm that yields, which takes back what it ran ahead only as fast as its limits allow. At
+0.2 m/s the simulated arm hit a block with 350 N within 10 ms, before any setpoint could answer. In the air it holds as
+well: travelling at 0.25 m/s the arm yielded to what accelerated it, and left its path by 9 cm."""
 FALLING = 0.99
 """Share of its excess speed that a target must fall below when it is given more time, to be given still more."""
 STILL = 0.02
@@ -113,8 +113,7 @@ class Stream:
         slow = rig.controller is not None and not rig.controller.full_speed
         self._pace = FIRST_RUN_PACE if slow else 1.0
         self._first_run = FIRST_RUN_SPEED if slow else np.inf
-        self._pressing = np.inf
-        """m/s that the tip keeps to beneath PRESSING_BENEATH."""
+        self._fastest = self._first_run
         self._generator = Generator(rig.arm, self._pace)
         # Stopping from v at jerk j takes the distance v * sqrt(v / j), hence the fastest v for OVERSHOOT.
         self._arrival_limit = self._pace * np.minimum(
@@ -231,8 +230,8 @@ class Stream:
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
         """Cap the joint torques at (6,) N m, or no more; an arm that stands off its last command goes on from there.
 
-        A robot in real time yields instead, as fast as it can: with a limit its tip keeps to PRESSING_SPEED where there
-        is something to press on, in more time.
+        A robot in real time yields instead, as fast as it can: with a limit its tip keeps to PRESSING_SPEED, in more
+        time.
 
         Raises:
             MotionError: a limit that is not six positive numbers.
@@ -246,7 +245,7 @@ class Stream:
             return
         self.stop()
         self._robot.limit_effort(limit)
-        self._pressing = np.inf if limit is None else PRESSING_SPEED
+        self._fastest = min(self._first_run, np.inf if limit is None else PRESSING_SPEED)
         try:
             # The arm's answer to being asked to stay is where it stays.
             self._guard.send(self._guard.last_sent[None], np.array([self._guard.last_opening]), braking=True)
@@ -274,7 +273,9 @@ class Stream:
             velocity = (arm - self._target.arm) / (count * SERVO_PERIOD)
             way = self._generator.towards(self._motion, arm, self._arrival(velocity), count * SERVO_PERIOD)
             setpoints = way.setpoints(count)
-            excess = self._excess(setpoints)
+            excess = (
+                self._guard.tip_speed(setpoints) / (PACE_MARGIN * self._fastest) if np.isfinite(self._fastest) else 0.0
+            )
             if excess <= 1.0 or count >= MOST_TICKS:
                 return way, setpoints, velocity
             # A trajectory that lasts longer than this ignores the count so far; one that does not, and is no slower
@@ -284,12 +285,6 @@ class Stream:
                     return way, setpoints, velocity
                 before = excess
             count = min(MOST_TICKS, int(np.ceil(count * max(excess, 1.1))))
-
-    def _excess(self, setpoints: Float[np.ndarray, "n 6"]) -> float:
-        """How many times as fast as it may be the tip gets."""
-        limits = ((self._first_run, np.inf), (self._pressing, PRESSING_BENEATH))
-        speeds = [self._guard.tip_speed(setpoints, low) / (PACE_MARGIN * most) for most, low in limits if most < np.inf]
-        return max(speeds, default=0.0)
 
     def _check_jump(self, arm: np.ndarray, seconds: float) -> None:
         allowed = self._pace * self._arm.velocity_limit * seconds + JUMP_SLACK

@@ -10,13 +10,12 @@ from hypothesis.extra.numpy import arrays
 
 from hardware.base import SERVO_PERIOD, SafetyError
 from hardware.sim import SimRobot
-from hardware.stream import JUMP_SLACK, OVERSHOOT, PRESSING_BENEATH, PRESSING_SPEED, Stream
+from hardware.stream import JUMP_SLACK, OVERSHOOT, Stream
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from tests.emulators import RIG_FILE
 from tests.hardware.adversary import KINDS, MOVES, TAKEN, assert_nothing_out_of_limits, attack, starts
-from tests.hardware.test_yielding import lowered
 
 STARTS = starts(load_rig(RIG_FILE))
 FEW = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -181,51 +180,6 @@ def test_a_senseless_effort_limit(stream, robot, limit):
     with pytest.raises(MotionError, match="six positive"):
         stream.limit_effort(limit)
     assert robot.sent == []
-
-
-@pytest.fixture
-def in_real_time(perfect_robot):
-    class InRealTime(perfect_robot):
-        """Its clock does not wait, as far as a stream can tell."""
-
-        def speed_fraction(self):
-            return 1.0
-
-        def stay_in(self, room): ...
-
-        def due(self):
-            return self.state().time
-
-        def last_sent(self):
-            return JointTarget(self.q, self.opening)
-
-        def limit_effort(self, limit): ...
-
-        def play(self, setpoints, openings, stop, after_each=None):
-            for q, opening in zip(setpoints, openings, strict=True):
-                self.servo(q, opening)
-
-    return InRealTime
-
-
-@pytest.mark.parametrize("height", [PRESSING_BENEATH - 0.05, PRESSING_BENEATH + 0.06])
-def test_an_arm_that_yields_is_slow_only_where_it_may_touch_something(in_real_time, rig, height):
-    above = rig.tip_pose(rig.arm.home)[2, 3] - height
-    *_, begin, end = lowered(np.array([*np.linspace(0.0, above, 40), above + 0.02]))
-    ways = {}
-    for limit in (None, (40.0,) * 6):
-        robot = in_real_time(begin)
-        stream = Stream(robot, rig)
-        stream.limit_effort(limit)
-        held = len(robot.sent)
-        stream.run(JointTarget(end, 0.1), 0.1)
-        stream.settle()
-        tips = np.array([rig.tip_pose(q)[:3, 3] for q in [begin, *robot.sent[held:]]])
-        ways[limit] = np.linalg.norm(np.diff(tips, axis=0), axis=1).max() / SERVO_PERIOD
-        np.testing.assert_allclose(robot.q, end, atol=2e-3)
-    low = height < PRESSING_BENEATH
-    assert ways[None] > 1.5 * PRESSING_SPEED
-    assert ways[(40.0,) * 6] == (pytest.approx(0.1, abs=0.02) if low else ways[None])
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.3, np.nan])
