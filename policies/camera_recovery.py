@@ -172,8 +172,9 @@ def _drive(
                 # the edge of one that has moved otherwise. Where that one is, it sees.
                 beneath = np.array([*prediction.block[0, :2], 0.0])
                 over = _reach(hand, objects, hand.tip() + from_hand(beneath, hand.yaw))
-                over[2], astray = hand.position[2], False
-                yield from press_on(hand, over, DECISION_STEPS * _decisions(over - hand.position), footing)
+                over[2] = hand.position[2]
+                steps = DECISION_STEPS * _decisions(over - hand.position)
+                astray = not (yield from press_on(hand, over, steps, footing))
                 continue
             chunks.push(careful_steps(prediction)[0], late)
             done_in_a_row = done_in_a_row + 1 if says_done(prediction)[0] else 0
