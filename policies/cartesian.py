@@ -78,7 +78,7 @@ class Hand:
         tip = rig.tip_pose(first.arm)
         self.position = tip[:3, 3].copy()
         self.yaw = float(np.arctan2(tip[1, 0], tip[0, 0]))
-        self.opening = first.opening
+        self.opening = first.told_opening  # Not where a block stopped the pads: told that, they would let go of it.
 
     @staticmethod
     def rotation(yaw: float) -> np.ndarray:

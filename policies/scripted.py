@@ -107,7 +107,6 @@ def _insert(objects: tuple[Object, ...], first: Observation, rig: Rig, s: Script
     seated = z + (base_height + state.get(held, "size_z")[0]) / 2
     # The tip points down, so a turn of the block in the hand is a turn of the tip the other way round.
     turned = _block_yaw(state, held) - yaw_tip(state, robot)
-    hand.opening = width - s.squeeze  # what the pads were told, not where the block stopped them
     opening = width + 2 * s.release_clearance
     tip_z = seated + tip_T_held[2, 3]
     yaw = best_yaw(state, base, _block_yaw(state, base) - turned, tip_z, opening, rig.gripper, hand.yaw, ignore=held)

@@ -128,6 +128,7 @@ class DeployedWorld:
             measured.q,
             measured.qd,
             measured.opening,
+            self.stream.target.opening,
             measured.tip_force,
             state,
             look=self._look,

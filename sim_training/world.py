@@ -103,7 +103,7 @@ class SimWorld:
 
     def observe(self, live: bool = False) -> Observation:
         q, qd, opening, force = self.measure()
-        return Observation(self.time, q, qd, opening, force, self.state(q, opening))
+        return Observation(self.time, q, qd, opening, self._target.opening, force, self.state(q, opening))
 
     def perceive(self) -> State:
         """The true state: an oracle, for training and for measuring what perception costs."""

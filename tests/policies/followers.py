@@ -24,6 +24,7 @@ class Follower:
     rig: Rig = RIG
     arm: np.ndarray = field(default_factory=lambda: RIG.arm.home.copy())
     opening: float = RIG.gripper.max_opening
+    told: float | None = None
     force: np.ndarray = field(default_factory=lambda: np.zeros(3))
     stuck: bool = False
     between: float = 0.0
@@ -33,7 +34,8 @@ class Follower:
 
     def observe(self, live: bool = False) -> Observation:
         features = {o: self.scene[o] for o in self.scene} | {R: self.rig.robot_features(self.arm, self.opening)}
-        return Observation(self.time, self.arm, np.zeros(6), self.opening, self.force, State(features))
+        told = self.opening if self.told is None else self.told
+        return Observation(self.time, self.arm, np.zeros(6), self.opening, told, self.force, State(features))
 
     def perceive(self) -> State:
         return self.observe().state
@@ -42,6 +44,7 @@ class Follower:
         self.time += duration
         if not self.stuck:
             self.arm, self.opening = target.arm.copy(), max(target.opening, self.between)
+            self.told = target.opening
         self.tips.append(self.rig.tip_pose(self.arm)[:3, 3])
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:

@@ -117,6 +117,14 @@ def test_the_fingers_open_at_their_speed_and_within_their_range() -> None:
     assert world.opening == RIG.gripper.max_opening
 
 
+def test_a_hand_that_holds_something_goes_on_pressing_on_it() -> None:
+    """What a block stops the pads at is not where they were sent: sent there, they would let go."""
+    world = Follower(SCENE, opening=0.045, told=0.030, between=0.045)
+    hand = hand_of(world)
+    targets = follow(world, hand, hand.retreat(hand.position[2] + 0.05, 0.1))
+    assert targets and all(t.opening == 0.030 for t in targets)
+
+
 def test_a_retreat_goes_straight_up_and_never_down() -> None:
     world = Follower(SCENE)
     hand = hand_of(world)

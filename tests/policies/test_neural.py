@@ -11,13 +11,16 @@ from torch import Tensor
 
 from policies.grasp import travel_height
 from policies.neural import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, recovery_skill, skill_from
+from policies.scripted import scripted_skills
 from resync_robot.core.skill import Ending, Outcome
 from resync_robot.learning.recovery_policy import LOWEST_TIP, OBSERVATION_SIZE, STEP
 from resync_robot.planning.execute import run_skill
+from sim_training.domains.cornered_insertion_s import holding
+from sim_training.world import SimWorld
 from tests import scenes
 from tests.libraries import recovery_record
 from tests.policies.followers import RIG, Follower
-from tests.scenes import B0, THE_BOX, R
+from tests.scenes import B0, B1, THE_BOX, R
 
 SCENE = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).initial
 SETTINGS = RecoverySkillSettings(max_decisions=6)
@@ -71,6 +74,15 @@ def test_with_something_between_the_pads_it_refuses_and_stays_where_it_is() -> N
     outcome = run_skill(world, skill_from("Recover", still, never, RIG, SETTINGS).ground((R, B0, THE_BOX)))
     assert outcome.ending is Ending.REFUSED and "60 mm apart" in outcome.reason
     np.testing.assert_allclose(world.tips, np.tile(begun, (len(world.tips), 1)), atol=1e-6)
+
+
+def test_a_heavy_block_stays_in_the_hand_that_refuses() -> None:
+    world = SimWorld(scenes.scene({"b0": (-0.07, -0.06), "b1": (0.075, 0.06)}, masses={"b0": 0.18, "b1": 0.1}), RIG)
+    pick = next(s for s in scripted_skills(RIG) if s.name == "Pick")
+    assert run_skill(world, pick.ground((R, B0))).done
+    recover = skill_from("Recover", still, never, RIG, SETTINGS)
+    assert run_skill(world, recover.ground((R, B1, THE_BOX))).ending is Ending.REFUSED
+    assert holding(world.perceive(), (R, B0))
 
 
 def test_a_decision_lasts_a_tenth_of_a_second_and_moves_at_most_a_step() -> None:

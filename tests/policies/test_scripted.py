@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,7 +92,7 @@ class Misled(SimWorld):
     def observe(self, live: bool = False) -> Observation:
         seen = super().observe(live)
         wrong = seen.state.with_features(B1, x=seen.state.get(B1, "x")[0] + self.error)
-        return Observation(seen.time, seen.arm, seen.arm_velocity, seen.opening, seen.tip_force, wrong)
+        return replace(seen, state=wrong)
 
 
 LEAD_IN = CLEARANCE + 2 * CHAMFER[0]
