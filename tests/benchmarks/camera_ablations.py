@@ -14,10 +14,11 @@ import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from shutil import copytree
 from tempfile import TemporaryDirectory
 
 from resync_robot.core.library import load_library
-from resync_robot.distil import DistilPlan, distil, make_context
+from resync_robot.distil import SHARD, DistilPlan, distil, make_context
 from resync_robot.evaluation_report import wilson
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.run_folder import RunFolder
@@ -38,6 +39,21 @@ VARIANTS = {
 }
 FRESH = 970_000_000
 BATCH = 10
+
+
+def _teaching(plan: DistilPlan) -> tuple[object, ...]:
+    """What the demonstrations of a teacher alone depend on, but for their number."""
+    return plan.looks, plan.unrecorded_noise, plan.picture
+
+
+def _take_over_demonstrations(name: str, out: Path) -> None:
+    """Copy what the teacher demonstrated for other variants, where this one's would be the same."""
+    plan, inside = VARIANTS[name], Path("stages") / "demonstrations"
+    for other in (v for v in VARIANTS if v != name and _teaching(VARIANTS[v]) == _teaching(plan)):
+        for shard in (out / other / inside).glob("turn-0-[0-9][0-9][0-9][0-9]"):
+            here = out / name / inside / shard.name
+            if int(shard.name[-4:]) < plan.worlds // SHARD and not here.exists():
+                copytree(shard, here)
 
 
 def _try(context, job: tuple[str, int]) -> list[bool]:  # type: ignore[no-untyped-def]
@@ -61,6 +77,7 @@ def main() -> None:
     record = library.skills[domain.recovery]
     gaussians = {k: PairGaussian.from_json(v) for k, v in library.gaussians.items()}
     for name in args.variants:
+        _take_over_demonstrations(name, args.out)
         plan, folder = VARIANTS[name], RunFolder(args.out / name)
         files = distil(domain, folder, plan, record, gaussians, 0, args.workers, "cpu", lambda *_: None)
         result: dict[str, object] = {"variant": name}
