@@ -28,6 +28,9 @@ from resync_robot.planning.suppose import find_plan
 class Affordance:
     """A learned atom that a skill relies on: after a failure of the skill it is held false until restored.
 
+    Where restoring it fails again and again, it is held true and the skill tried after all: what was learned may be
+    wrong about this object.
+
     Attributes:
         predicate: its name.
         argument: which of the skill's arguments the atom is about.
@@ -115,6 +118,8 @@ class ExecuteSettings:
     max_failures: int = 5
     """Failures of one ground skill after which the episode is given up. A skill that breaks off in time often leaves
     things better than they were, and the next attempt begins from there."""
+    give_up_restoring: int = 2
+    """Failures of a ground skill that should restore a learned atom, from which on the atom is taken for granted."""
     heuristic: str = "lmcut"
 
 
@@ -131,9 +136,11 @@ def plan_f(
     transitions: list[Transition] = []
     plans: list[Plan] = []
     failures: Counter[str] = Counter()
-    distrusted: set[Atom] = set()
+    taught: dict[Atom, bool] = {}
+    """What attempts say of learned atoms, against what is seen."""
+    relied_on = {affordance.predicate for affordance in model.affordances.values()}
     supposed_before: set[str] = set()
-    state, atoms = _look(world, model, distrusted, listener)
+    state, atoms = _look(world, model, taught, listener)
     reason = "start"
 
     def ended(end: End, why: str = "") -> Result:
@@ -153,7 +160,7 @@ def plan_f(
             if likely == atoms:
                 return ended(End.NO_PLAN, error.what)
             atoms, reason = likely, "nothing else is left to try than to believe what is most likely"
-            distrusted.clear()
+            taught.clear()
             if goal <= atoms:
                 return ended(End.GOAL, "as far as can be told: not all of it is certain")
             continue
@@ -174,8 +181,8 @@ def plan_f(
             before = state
             outcome = run_skill(world, ground, listener)
             for atom in step.add:
-                distrusted.discard(atom)
-            state, atoms = _look(world, model, distrusted, listener)
+                taught.pop(atom, None)
+            state, atoms = _look(world, model, taught, listener)
             came_true = step.add <= atoms and not (step.delete & atoms)
             transitions.append(Transition(before, step.name, step.objects, state, came_true))
             if came_true:
@@ -184,15 +191,19 @@ def plan_f(
             failures[str(step)] += 1
             if failures[str(step)] >= s.max_failures:
                 return ended(End.STUCK, reason)
+            if failures[str(step)] >= s.give_up_restoring:
+                granted = {a for a in step.add - atoms if a.predicate.name in relied_on}
+                taught |= dict.fromkeys(granted, True)
+                atoms |= granted
             distrust = _distrust(model, ground)
             if distrust is not None:
-                distrusted.add(distrust)
+                taught[distrust] = False
                 atoms = atoms - {distrust}
             recovery = reaction(ground, state) if reaction else None
             if recovery is not None:
                 before = state
                 outcome = run_skill(world, recovery, listener)
-                state, atoms = _look(world, model, distrusted, listener)
+                state, atoms = _look(world, model, taught, listener)
                 transitions.append(Transition(before, recovery.name, recovery.objects, state, outcome.done))
             break
         else:
@@ -232,9 +243,9 @@ def run_skill(world: World, ground: GroundSkill, listener: Listener | None = Non
     return answer
 
 
-def _look(world: World, model: Model, distrusted: set[Atom], listener: Listener) -> tuple[State, Atoms]:
+def _look(world: World, model: Model, taught: Mapping[Atom, bool], listener: Listener) -> tuple[State, Atoms]:
     state = world.perceive()
-    probabilities = {atom: (0.0 if atom in distrusted else p) for atom, p in model.abstraction.abstract(state).items()}
+    probabilities = {atom: float(taught.get(atom, p)) for atom, p in model.abstraction.abstract(state).items()}
     listener.on_perceived(state, probabilities)
     return state, frozenset(a for a, p in probabilities.items() if p > HOLDS)
 

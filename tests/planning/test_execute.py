@@ -11,7 +11,7 @@ from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Operator
 from resync_robot.core.world import Observation
-from resync_robot.planning.execute import End, ExecuteSettings, Model, plan_f, run_skill
+from resync_robot.planning.execute import Affordance, End, ExecuteSettings, Model, plan_f, run_skill
 from tests.planning.kitchen import (
     CLEAN,
     CUP,
@@ -123,6 +123,29 @@ def test_the_same_failure_again_and_again_ends_stuck() -> None:
     assert result.end is End.STUCK
     assert [t.succeeded for t in result.transitions] == [False, False]
     assert "blocked: a wall" in result.reason
+
+
+def test_what_was_learned_is_doubted_where_restoring_it_fails_again_and_again() -> None:
+    """Clean is said to be false whatever is wiped; filling the cup works all the same."""
+    unwiped, relies = (nothing, Outcome(Ending.DONE)), {"Fill": Affordance("Clean", 0)}
+    world = kitchen(open="a")
+    result = plan_f(world, model(world, Wipe=unwiped, affordances=relies), GOAL)
+    assert [t.skill for t in result.transitions] == ["Wipe", "Wipe", "Fill"]
+    assert result.success
+
+    world = kitchen(open="a")
+    assert not plan_f(world, model(world, Wipe=unwiped), GOAL).success, "what was given is not doubted"
+
+
+def test_a_skill_that_was_tried_against_what_was_learned_and_failed_is_not_tried_at_once_again() -> None:
+    world = kitchen(open="a")
+    relies = {"Fill": Affordance("Clean", 0)}
+    unfilled = model(
+        world, Wipe=(nothing, Outcome(Ending.DONE)), Fill=(nothing, Outcome(Ending.BLOCKED)), affordances=relies
+    )
+    result = plan_f(world, unfilled, GOAL)
+    assert [t.skill for t in result.transitions] == ["Wipe", "Wipe", "Fill", "Wipe", "Fill", "Wipe", "Fill", "Wipe"]
+    assert result.end is End.STUCK
 
 
 def test_failures_are_counted_for_each_ground_skill_by_itself() -> None:
