@@ -25,7 +25,11 @@ HAND_RADIUS = 0.075
 """m; the 2F-140 with its fingers closed, and nearly as wide where they are open."""
 
 # Frame (0 the base, i the DH frame of joint i), both ends in it (m), radius (m).
-_D, _A = kinematics.D, kinematics.A
+_D, _A = np.array(kinematics.D), np.array(kinematics.A)
+_CA, _SA = np.array(kinematics.TWIST).T
+_LINK = np.zeros((6, 4, 4))
+"""What of a link's transform does not depend on its joint."""
+_LINK[:, 2, 1], _LINK[:, 2, 2], _LINK[:, 2, 3], _LINK[:, 3, 3] = _SA, _CA, _D, 1.0
 _LINKS = {
     BASE: (0, (0, 0, 0), (0, 0, _D[0]), 0.075),
     SHOULDER: (1, (0, 0, 0), (0, 0, UPPER_ARM_OFFSET), 0.065),
@@ -89,12 +93,14 @@ class Clearance:
             CAMERA: (6, (0, 0, float(camera[2])), tuple(camera), 0.03),
         }
         self._frame = np.array([links[i][0] for i in range(len(NAMES))])
-        self._ends = np.array([[(*links[i][1], 1.0), (*links[i][2], 1.0)] for i in range(len(NAMES))])
+        ends = np.array([[(*links[i][1], 1.0), (*links[i][2], 1.0)] for i in range(len(NAMES))])
+        self._ends = ends.swapaxes(1, 2)
         self._radius = np.array([links[i][3] for i in range(len(NAMES))])
         self._obstacles: tuple[Obstacle, ...] = ()
         self._pairs = np.array(PAIRS)
         self._above, self._still = np.array(ABOVE_TABLE), len(NAMES)
         self._reference: tuple[np.ndarray, np.ndarray] | None = None
+        self._movers = self._find_movers()
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
@@ -103,19 +109,19 @@ class Clearance:
     @obstacles.setter
     def obstacles(self, obstacles: tuple[Obstacle, ...]) -> None:
         self._obstacles, self._reference = obstacles, None
+        self._movers = self._find_movers()
 
     def frames(self, q: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 7 4 4"]:
         """Poses in the world of the base and of the six DH frames, the last of which is the flange's."""
+        cos, sin = np.cos(q), np.sin(q)
+        links = np.empty((len(q), 6, 4, 4))
+        links[:] = _LINK
+        links[..., 0, 0], links[..., 0, 1], links[..., 0, 2], links[..., 0, 3] = cos, sin * -_CA, sin * _SA, _A * cos
+        links[..., 1, 0], links[..., 1, 1], links[..., 1, 2], links[..., 1, 3] = sin, cos * _CA, cos * -_SA, _A * sin
         frames = np.empty((len(q), 7, 4, 4))
         frames[:, 0] = self._world_T_base
-        cos, sin = np.cos(q), np.sin(q)
-        for i, (ca, sa) in enumerate(kinematics.TWIST):
-            link = np.zeros((len(q), 4, 4))
-            c, s = cos[:, i], sin[:, i]
-            link[:, 0, 0], link[:, 0, 1], link[:, 0, 2], link[:, 0, 3] = c, -s * ca, s * sa, _A[i] * c
-            link[:, 1, 0], link[:, 1, 1], link[:, 1, 2], link[:, 1, 3] = s, c * ca, -c * sa, _A[i] * s
-            link[:, 2, 1], link[:, 2, 2], link[:, 2, 3], link[:, 3, 3] = sa, ca, _D[i], 1.0
-            frames[:, i + 1] = frames[:, i] @ link
+        for i in range(6):
+            np.matmul(frames[:, i], links[:, i], out=frames[:, i + 1])
         return frames
 
     def smallest(self, frames: Float[np.ndarray, "n 7 4 4"]) -> Gap:
@@ -135,7 +141,7 @@ class Clearance:
         if self._reference is not None:
             before, spare = self._reference
             moved = np.append(np.linalg.norm(ends - before, axis=-1).max(axis=(0, 2)), 0.0)
-            if (moved[self._movers()].sum(axis=1) <= spare - margin).all():
+            if (moved[self._movers].sum(axis=1) <= spare - margin).all():
                 return None
         gaps = self._gaps(ends)
         self._reference = ends[-1], gaps[-1]
@@ -143,9 +149,9 @@ class Clearance:
         return self._named(float(gaps[row, column]), int(column)) if gaps[row, column] < margin else None
 
     def _segments(self, frames: np.ndarray) -> Float[np.ndarray, "n p 2 3"]:
-        return np.einsum("npij,pkj->npki", frames[:, self._frame], self._ends)[..., :3]
+        return (frames[:, self._frame, :3] @ self._ends).swapaxes(2, 3)
 
-    def _movers(self) -> np.ndarray:
+    def _find_movers(self) -> np.ndarray:
         """(m, 2) the parts that each gap lies between; beyond their number for what stands still."""
         standing = np.stack([self._above, np.full(len(self._above), self._still)], axis=1)
         return np.concatenate([self._pairs, *[standing] * (1 + len(self._obstacles))])
