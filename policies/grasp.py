@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from resync_robot.core import spatial
@@ -12,6 +14,8 @@ from resync_robot.core.vocabulary import BLOCK, BOX
 
 ENOUGH = 0.010
 """Clearance in m beyond which more of it is worth no extra turn of the wrist."""
+SPARE = 0.002
+"""m that a finger must keep from what it goes down beside: poses are known no better."""
 
 
 def best_yaw(
@@ -33,18 +37,39 @@ def best_yaw(
         current: the hand's yaw; among equally free ones the smallest turn wins.
         ignore: a block that is in the hand, and so no obstacle.
     """
-    centre = state.get(block, "x", "y")
-    others = [b for b in state.of_type(BLOCK) if b not in (block, ignore)]
 
     def score(yaw: float) -> float:
-        room = min(
-            finger_clearance(state, corner, tip_z, others) for corner in finger_corners(centre, yaw, opening, gripper)
-        )
-        return min(room, ENOUGH) - 0.001 * abs(yaw - current)
+        return min(_room(state, block, yaw, tip_z, opening, gripper, ignore), ENOUGH) - 0.001 * abs(yaw - current)
 
     # A parallel gripper turned by 180 degrees is the same gripper: stay within a quarter turn of straight ahead.
     candidates = [float(spatial.wrap(along + k * np.pi / 2, np.pi)) for k in range(2)]
     return max(candidates, key=score)
+
+
+def best_approach(
+    state: State,
+    block: Object,
+    along: float,
+    tip_z: float,
+    openings: Sequence[float],
+    gripper: GripperRig,
+    current: float,
+) -> tuple[float, float]:
+    """The hand's yaw, as of `best_yaw`, and the first of `openings` with which the fingers keep SPARE from everything.
+
+    Where none does, the one that leaves them most room; where something is in the way of all, the first.
+    """
+    ways = [(best_yaw(state, block, along, tip_z, opening, gripper, current), opening) for opening in openings]
+    return max(ways, key=lambda way: np.clip(_room(state, block, way[0], tip_z, way[1], gripper, None), 0.0, SPARE))
+
+
+def _room(
+    state: State, block: Object, yaw: float, tip_z: float, opening: float, gripper: GripperRig, ignore: Object | None
+) -> float:
+    """Distance in m from the fingers around `block` to what is nearest; negative where they would be inside it."""
+    others = [b for b in state.of_type(BLOCK) if b not in (block, ignore)]
+    corners = finger_corners(state.get(block, "x", "y"), yaw, opening, gripper)
+    return min(finger_clearance(state, corner, tip_z, others) for corner in corners)
 
 
 def finger_corners(centre: np.ndarray, yaw: float, opening: float, gripper: GripperRig) -> np.ndarray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from policies.cartesian import Blocked, Hand, Motion, run_motion
-from policies.grasp import best_yaw, travel_height
+from policies.grasp import best_approach, best_yaw, travel_height
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Ending, Outcome, Skill
 from resync_robot.core.spatial import inverse, pose_from_features, wrap, yaw_of
@@ -34,8 +34,8 @@ class ScriptedSettings:
     contact_speed: float = 0.02
     seat_speed: float = 0.008
     """A stud finds its socket at 8 mm/s; twice that jams."""
-    approach_clearance: float = 0.012
-    """Free space a side between an open finger and the block."""
+    approach_clearances: tuple[float, ...] = (0.012, 0.008, 0.005)
+    """Free space a side between an open finger and the block; less of it only where more does not fit."""
     release_clearance: float = 0.008
     squeeze: float = 0.020
     """How much narrower than the block the pads are told to close."""
@@ -72,12 +72,12 @@ def _pick(objects: tuple[Object, ...], first: Observation, rig: Rig, s: Scripted
     width = float(state.get(block, "size_x", "size_y").max())
     x, y, z, height = state.get(block, "x", "y", "z", "size_z")
     tip_z = z - min(s.grasp_depth, height / 2 - 0.008)
-    opening = width + 2 * s.approach_clearance
-    yaw = best_yaw(state, block, _block_yaw(state, block), tip_z, opening, rig.gripper, hand.yaw)
+    openings = [min(width + 2 * clearance, rig.gripper.max_opening) for clearance in s.approach_clearances]
+    yaw, opening = best_approach(state, block, _block_yaw(state, block), tip_z, openings, rig.gripper, hand.yaw)
     above = travel_height(state, carried=None)
     try:
         yield from hand.retreat(above, s.approach_speed)
-        yield from hand.open(rig.gripper.max_opening if opening > rig.gripper.max_opening else opening)
+        yield from hand.open(opening)
         yield from hand.move(x, y, above, yaw, s.travel_speed)
         yield from hand.move(x, y, tip_z, yaw, s.descent_speed, max_force=s.touch_force)
     except Blocked as blocked:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from policies.grasp import best_yaw, finger_clearance, finger_corners, travel_height
+from policies.grasp import SPARE, best_approach, best_yaw, finger_clearance, finger_corners, travel_height
 from resync_robot.core import spatial
 from tests import scenes
 from tests.policies.followers import RIG
@@ -40,6 +40,27 @@ def test_beside_a_block_the_pads_close_along_its_side() -> None:
     assert chosen({"b0": (0.0, 0.0), "b1": beside}) == pytest.approx(np.pi / 2, abs=1e-6)
     # Unless that block is in the hand.
     assert chosen({"b0": (0.0, 0.0), "b1": beside}, ignore=B1) == pytest.approx(0.0, abs=1e-6)
+
+
+OPENINGS = WIDTH + 0.024, WIDTH + 0.016, WIDTH + 0.010
+
+
+@given(gap=st.floats(0.001, 0.04))
+def test_fingers_open_less_where_more_does_not_fit_and_no_less_than_that(gap: float) -> None:
+    """Blocks at four sides, `gap` m away: a finger must fit in, with something to spare."""
+    beside = WIDTH + gap
+    around = {"b1": (beside, 0.0), "b2": (-beside, 0.0), "b3": (0.0, beside), "b4": (0.0, -beside)}
+    state = scenes.scene({"b0": (0.0, 0.0)} | around).initial
+    yaw, opening = best_approach(state, B0, 0.0, GRASP_Z, OPENINGS, GRIPPER, 0.0)
+    assert opening in OPENINGS
+    needs = [(o - WIDTH) / 2 + GRIPPER.finger_thickness for o in OPENINGS]
+    if gap > needs[-1]:
+        assert (opening - WIDTH) / 2 + GRIPPER.finger_thickness < gap, "the fingers fit"
+    else:
+        assert opening == OPENINGS[0], "no opening helps, so none is given up for it"
+    if gap > needs[0] + SPARE:
+        assert opening == OPENINGS[0]
+    assert yaw == best_yaw(state, B0, 0.0, GRASP_Z, opening, GRIPPER, 0.0)
 
 
 @pytest.mark.parametrize("turn", [0.3, -0.3, 1.2])

@@ -22,7 +22,7 @@ from sim_training.parts import CHAMFER, CLEARANCE
 from sim_training.world import SimWorld
 from tests import scenes
 from tests.policies.followers import Follower
-from tests.scenes import B0, B1, CORNER, THE_BOX, R
+from tests.scenes import B0, B1, B2, CORNER, THE_BOX, R
 
 RIG = load_rig()
 SKILLS = {s.name: s for s in scripted_skills(RIG)}
@@ -74,6 +74,17 @@ def test_a_block_beside_one_wall_can_be_picked() -> None:
     world = build((CORNER, 0.03), (-0.08, -0.03))
     assert run(world, "Pick", B0).done
     assert holding(world.perceive(), (R, B0))
+
+
+@pytest.mark.parametrize(("gap", "fits"), [(0.026, True), (0.019, True), (0.012, False)])
+def test_between_neighbours_a_block_is_picked_where_a_finger_fits(gap: float, fits: bool) -> None:
+    beside = scenes.WIDTH + gap
+    world = SimWorld(scenes.scene({"b0": (0.0, 0.0), "b1": (beside, 0.0), "b2": (0.0, -beside)}), RIG)
+    before = world.perceive()
+    assert run(world, "Pick", B0).done is fits
+    after = world.perceive()
+    for neighbour in (B1, B2):
+        assert np.linalg.norm(after[neighbour][:3] - before[neighbour][:3]) < 0.005
 
 
 def test_nothing_is_inserted_on_a_cornered_block() -> None:
