@@ -118,8 +118,9 @@ class ExecuteSettings:
     max_failures: int = 5
     """Failures of one ground skill after which the episode is given up. A skill that breaks off in time often leaves
     things better than they were, and the next attempt begins from there."""
-    give_up_restoring: int = 2
-    """Failures of a ground skill that should restore a learned atom, from which on the atom is taken for granted."""
+    give_up_restoring: int = 4
+    """Failures of a ground skill that should restore a learned atom, from which on the atom is taken for granted. One
+    after which the skill itself says that it is done counts twice: it and what was learned cannot both be right."""
     heuristic: str = "lmcut"
 
 
@@ -136,6 +137,7 @@ def plan_f(
     transitions: list[Transition] = []
     plans: list[Plan] = []
     failures: Counter[str] = Counter()
+    in_vain: Counter[str] = Counter()
     taught: dict[Atom, bool] = {}
     """What attempts say of learned atoms, against what is seen."""
     relied_on = {affordance.predicate for affordance in model.affordances.values()}
@@ -189,10 +191,13 @@ def plan_f(
                 continue
             reason = f"{step} did not do what it should ({outcome.ending.value}: {outcome.reason or 'effects missing'})"
             failures[str(step)] += 1
+            in_vain[str(step)] += 2 if outcome.done else 1
             if failures[str(step)] >= s.max_failures:
                 return ended(End.STUCK, reason)
-            if failures[str(step)] >= s.give_up_restoring:
+            if in_vain[str(step)] >= s.give_up_restoring:
                 granted = {a for a in step.add - atoms if a.predicate.name in relied_on}
+                if granted:
+                    reason += f"; {', '.join(sorted(map(str, granted)))} taken for granted now"
                 taught |= dict.fromkeys(granted, True)
                 atoms |= granted
             distrust = _distrust(model, ground)

@@ -129,8 +129,16 @@ def test_what_was_learned_is_doubted_where_restoring_it_fails_again_and_again() 
     """Clean is said to be false whatever is wiped; filling the cup works all the same."""
     unwiped, relies = (nothing, Outcome(Ending.DONE)), {"Fill": Affordance("Clean", 0)}
     world = kitchen(open="a")
-    result = plan_f(world, model(world, Wipe=unwiped, affordances=relies), GOAL)
+    notes = Notes()
+    result = plan_f(world, model(world, Wipe=unwiped, affordances=relies), GOAL, listener=notes)
     assert [t.skill for t in result.transitions] == ["Wipe", "Wipe", "Fill"]
+    assert result.success
+    assert notes.reasons[-1].endswith("Clean(a) taken for granted now")
+
+    world = kitchen(open="a")
+    broken = (nothing, Outcome(Ending.BLOCKED))
+    result = plan_f(world, model(world, Wipe=broken, affordances=relies), GOAL)
+    assert [t.skill for t in result.transitions] == ["Wipe"] * 4 + ["Fill"], "later where the skill agrees"
     assert result.success
 
     world = kitchen(open="a")
