@@ -152,7 +152,7 @@ class Hand:
         steps = max(1, int(np.ceil(abs(opening - self.opening) / FINGER_SPEED / self.period)))
         begin = self.opening
         for i in range(1, steps + 1):
-            self.opening = begin + (opening - begin) * i / steps
+            self.opening = begin + (opening - begin) * (i / steps)  # Ends exactly there: closed is not -1e-18 m.
             self.last = yield self.target()
         for _ in range(int(0.15 / self.period)):
             self.last = yield self.target()

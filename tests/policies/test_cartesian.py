@@ -117,6 +117,15 @@ def test_the_fingers_open_at_their_speed_and_within_their_range() -> None:
     assert world.opening == RIG.gripper.max_opening
 
 
+@settings(max_examples=100)
+@given(begin=st.floats(0.0, 0.14), end=st.sampled_from([0.0, 0.14]))
+def test_fingers_end_exactly_where_they_were_sent(begin: float, end: float) -> None:
+    world = Follower(SCENE, opening=begin)
+    hand = hand_of(world)
+    targets = follow(world, hand, hand.open(end))
+    assert targets[-1].opening == end and all(0.0 <= t.opening <= 0.14 for t in targets)
+
+
 def test_a_hand_that_holds_something_goes_on_pressing_on_it() -> None:
     """What a block stops the pads at is not where they were sent: sent there, they would let go."""
     world = Follower(SCENE, opening=0.045, told=0.030, between=0.045)
