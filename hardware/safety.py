@@ -55,7 +55,7 @@ class Guard:
         if self._realtime is not None:
             self._realtime.stay_in(self._room)
         self._past = np.zeros((3, 6))
-        self._opening = 0.0
+        self._opening = float(np.clip(robot.state().opening, 0.0, rig.gripper.max_opening))
         self.start()
 
     @property
@@ -72,16 +72,18 @@ class Guard:
         self._room.keep_out(*obstacles)
 
     def start(self) -> None:
-        """Take the robot where it is measured, at rest, as the last setpoint: after connecting, after a stop.
+        """Take the arm where it is measured, at rest, as the last setpoint: after connecting, after a stop.
+
+        A stop of the arm is none of the gripper's: it goes on with what it was told last, or would let go of what it
+        holds.
 
         Raises:
             SafetyError: the measurement is not finite or lies outside the limits. Where the arm stands too near to
                 something, the error says that a person has to move it clear by hand.
         """
         state = self._robot.state()
-        opening = float(np.clip(state.opening, 0.0, self._rig.gripper.max_opening))
         try:
-            self.check_target(np.asarray(state.q, dtype=np.float64), opening)
+            self.check_target(np.asarray(state.q, dtype=np.float64), self._opening)
         except SafetyError as error:
             if error.quantity not in ("position", "floor", "workspace", "clearance"):
                 raise
@@ -91,7 +93,6 @@ class Guard:
                 "move it clear by hand on the teach pendant (freedrive, or jog it), then start again",
             ) from None  # fmt: skip
         self._past[:] = state.q
-        self._opening = opening
 
     def rest_at(self, q: Float[np.ndarray, "6"]) -> None:
         """Take `q` (rad), at rest, as the last setpoint: where a robot says it has braked to."""

@@ -234,6 +234,17 @@ def test_restart_takes_the_measured_pose(lagging_physics, rig):
         np.testing.assert_allclose(physics.driven[-1][0], rig.arm.home - 0.1, atol=1e-9)
 
 
+def test_after_a_stop_of_the_arm_the_fingers_go_on_pressing_on_what_they_hold(lagging_physics, rig):
+    physics = lagging_physics(rig.arm.home)
+    with SimRobot(physics) as robot:
+        stream = Stream(robot, rig)
+        stream.run(JointTarget(rig.arm.home, 0.03), 1.0)
+        physics.opening = 0.05  # Where a block stops the pads.
+        stream.restart()
+        stream.run(stream.target, 0.01)
+        assert physics.driven[-1][1] == 0.03
+
+
 @given(st.lists(st.sampled_from(KINDS), min_size=1, max_size=60), st.integers(0, 2**32 - 1))
 @FEW
 def test_no_adversarial_target_is_sent(perfect_robot, kinds, seed):
