@@ -100,7 +100,7 @@ def _recover(
     except Blocked as blocked:
         return Outcome(Ending.BLOCKED, str(blocked))
     if not finished:
-        return Outcome(Ending.TIMEOUT, f"{s.max_decisions / 10:.0f} s of the policy did not recover {block}")
+        return Outcome(Ending.TIMEOUT, f"in {s.max_decisions} decisions the policy did not say that {block} is free")
     return Outcome(Ending.DONE)
 
 

@@ -267,7 +267,7 @@ def _episode(
     else:
         opened = open_ur7e(Layout(config.domain, config.scenario, config.seed, index), rig)
     # The devices come first: where there is no robot, no recording is left behind.
-    with opened as devices, EpisodeWriter(path, meta) as writer:
+    with opened as devices, EpisodeWriter(path, meta, devices.clock()) as writer:
         standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"] if recording is None else []
         recorder = Recorder(
             writer,

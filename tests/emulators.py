@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import os
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -48,6 +50,28 @@ def emulated(
     controller.wire = []
     with Emulator(controller, address(), gripper or EmulatedGripper(opening, activated=True)) as emulator:
         yield emulator
+
+
+def rig_file(folder: Path) -> Path:
+    """The emulated rig's file, with an address of its own."""
+    path = folder / "lab.toml"
+    path.write_text(RIG_FILE.read_text().replace('"127.0.0.1"', f'"{address()}"'))
+    return path
+
+
+@contextmanager
+def lab(folder: Path, *faults: str) -> Iterator[Path]:
+    """`resync-robot emulate` in a process of its own; its rig file."""
+    need_client()
+    rig = rig_file(folder)
+    words = [sys.executable, "-m", "resync_robot", "emulate", "--rig", str(rig)]
+    words += ["--fault", *faults] if faults else []
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None and "stands at" in process.stdout.readline()
+            yield rig
+        finally:
+            process.terminate()
 
 
 @contextmanager

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import colorsys
 import io
-import subprocess
-import sys
 import tomllib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from datetime import date, timedelta
 from pathlib import Path
@@ -29,33 +25,11 @@ from resync_robot.deploy import DeployConfig, calibration_complaints
 from sim_training.calibration_scene import CalibrationWorld, displaced, empty_task, row_task
 from tests import emulators
 from tests.calibration import synthetic
-from tests.emulators import RIG_FILE
 
 RECORD = CalibrationRecord(
     calibrated="2026-01-01", checked="2026-01-01", method="eye-in-hand", views=20, left_out=1,
     held_out_mm=0.5, held_out_deg=0.2, held_out_px=0.3,
 )  # fmt: skip
-
-
-def emulated_rig(folder: Path) -> Path:
-    """The emulated rig at an address of its own."""
-    rig = folder / "lab.toml"
-    rig.write_text(RIG_FILE.read_text().replace('"127.0.0.1"', f'"{emulators.address()}"'))
-    return rig
-
-
-@contextmanager
-def lab(folder: Path) -> Iterator[Path]:
-    """An emulated lab in a process of its own; its rig file."""
-    emulators.need_client()
-    rig = emulated_rig(folder)
-    words = [sys.executable, "-m", "resync_robot", "emulate", "--rig", str(rig)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None and "stands at" in process.stdout.readline()
-            yield rig
-        finally:
-            process.terminate()
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +126,7 @@ def test_a_machine_that_does_not_answer(
     words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    rig = emulated_rig(tmp_path)
+    rig = emulators.rig_file(tmp_path)
     before = rig.read_text()
     assert run(*words, "--backend", "ur7e", "--rig", str(rig), "--seed", "1") == 2
     assert "resync-robot emulate" in capsys.readouterr().err
@@ -164,7 +138,7 @@ def test_a_real_machine_waits_for_a_person_before_it_moves(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
-    rig = emulated_rig(tmp_path)
+    rig = emulators.rig_file(tmp_path)
     rig.write_text(rig.read_text().replace("emulated = true", "emulated = false"))
     for camera, word in (("wrist", "Lay the board (192 x 256 mm) flat"), ("front", "between the open pads")):
         assert run("hand-eye", "--camera", camera, "--backend", "ur7e", "--rig", str(rig)) == 2
@@ -334,7 +308,7 @@ def test_the_protocols_of_a_real_arm_serve_as_well(
     renderer: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with lab(tmp_path) as rig:
+    with emulators.lab(tmp_path) as rig:
         found = ("--backend", "ur7e", "--rig", str(rig), "--write", "mine.toml", "--seed", "5")
         assert run("hues", "--names", "b0", "b1", *found) == 0
         assert run("check", "--live", "--backend", "ur7e", "--rig", str(rig), "--seed", "5") == 3, (
@@ -352,7 +326,7 @@ def test_a_knocked_camera_of_an_emulated_arm_is_found_again(
     renderer: None, camera: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with lab(tmp_path) as rig:
+    with emulators.lab(tmp_path) as rig:
         words = ("--camera", camera, "--backend", "ur7e", "--rig", str(rig), "--seed", "3")
         assert run("hand-eye", *words, "--poses", "16", "--write", "mine.toml") == 0
     found, true = load_rig(Path("mine.toml")).camera(camera), displaced(load_rig(rig), 3).camera(camera)

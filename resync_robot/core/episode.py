@@ -20,8 +20,8 @@ JSON but for the last three. The same once more as messages of ROS 2, for Foxglo
 /joint_states, /joint_commands, /tf, /wrench, /camera/NAME/{camera_info,depth_mm}, /plan_text, /atoms_text, /rosout,
 /latency.
 
-Times are seconds of the episode (stored as ns). `core.episode_writer` writes such a file; `read_episode` returns
-what is whole of a torn one.
+Times are seconds from the beginning of the episode (stored as ns). `core.episode_writer` writes such a file;
+`read_episode` returns what is whole of a torn one.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Timing:
-    """Of one target, on the robot's clock in s.
+    """Of one target, s: written on the robot's clock, read as seconds of the episode.
 
     Attributes:
         picture: when the oldest picture was exposed that was looked at since the target before; None where there was

@@ -12,7 +12,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
@@ -46,13 +46,15 @@ class EpisodeWriter:
     Args:
         path: a file that does not exist yet; its folder is made.
         meta: what the episode is about.
+        begin: s on the robot's clock, from which the file counts. A controller has been counting since it was
+            switched on. Every method takes times on the robot's clock; what was before the beginning is told as then.
 
     Raises:
         EpisodeError: the file exists or cannot be created. Raised at once, before anything moves.
     """
 
-    def __init__(self, path: Path, meta: EpisodeMeta) -> None:
-        self.path = path
+    def __init__(self, path: Path, meta: EpisodeMeta, begin: float = 0.0) -> None:
+        self.path, self._begin = path, begin
         self.error: EpisodeError | None = None
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
@@ -88,6 +90,7 @@ class EpisodeWriter:
         requested: JointTarget,
     ) -> None:
         """One moment of the arm and the hand: rad, rad/s, m."""
+        time = self._since(time)
         content = {
             "measured": measured,
             "velocity": velocity,
@@ -103,6 +106,7 @@ class EpisodeWriter:
 
     def tip_force(self, time: float, force: Float[np.ndarray, "3"]) -> None:
         """Force of the world on the hand, N, world frame."""
+        time = self._since(time)
         self._json("/tip_force", time, {"force": force})
         self._ros(
             "/wrench", "geometry_msgs/msg/WrenchStamped", time, partial(ros_messages.wrench, time, "world", force)
@@ -110,14 +114,17 @@ class EpisodeWriter:
 
     def state(self, time: float, state: State) -> None:
         """The belief about the objects."""
+        time = self._since(time)
         self._json("/state", time, {"objects": state.to_json()})
 
     def truth(self, time: float, state: State) -> None:
         """What a simulator knows about the objects; for comparison only."""
+        time = self._since(time)
         self._json("/truth", time, {"objects": state.to_json()})
 
     def atoms(self, time: float, atoms: Mapping[Any, float]) -> None:
         """Atoms, or their texts, with the probability that each holds."""
+        time = self._since(time)
         content = {str(atom): float(p) for atom, p in atoms.items()}
         self._json("/atoms", time, {"atoms": content})
         lines = "\n".join(f"{p:.2f} {atom}" for atom, p in sorted(content.items()))
@@ -125,6 +132,7 @@ class EpisodeWriter:
 
     def plan(self, time: float, steps: Sequence[Any], current: int | None, reason: str = "") -> None:
         """A new plan, or the step of it that is under way now."""
+        time = self._since(time)
         texts = [str(s) for s in steps]
         self._json("/plan", time, {"steps": texts, "current": current, "reason": reason})
         lines = "\n".join(f"{'>' if i == current else ' '} {text}" for i, text in enumerate(texts))
@@ -132,16 +140,18 @@ class EpisodeWriter:
 
     def event(self, time: float, kind: EventKind, text: str = "", **details: Any) -> None:
         """Something that happened; `details` must be plain JSON values or arrays."""
+        time = self._since(time)
         self._json("/event", time, {"kind": kind.value, "text": text, "details": details}, flush=True)
         line = partial(ros_messages.log, time, LEVELS.get(kind, 20), kind.value, text)
         self._ros("/rosout", "rcl_interfaces/msg/Log", time, line)
 
     def timing(self, timing: Timing) -> None:
         """When a target was asked for, and when its first setpoint was due."""
-        self._json("/timing", timing.due, asdict(timing))
-        if timing.picture is not None:
-            latency = timing.due - timing.picture
-            self._ros("/latency", "std_msgs/msg/Float64", timing.due, partial(ros_messages.number, latency))
+        picture, due = timing.picture, self._since(timing.due)
+        told = None if picture is None else self._since(picture)
+        self._json("/timing", due, asdict(replace(timing, picture=told, asked=self._since(timing.asked), due=due)))
+        if picture is not None:
+            self._ros("/latency", "std_msgs/msg/Float64", due, partial(ros_messages.number, timing.due - picture))
 
     def picture(self, frame: CameraFrame, colour: bytes, depth: bytes) -> None:
         """A frame whose pictures the caller has encoded: `colour` as JPEG, `depth` as 16-bit PNG."""
@@ -153,7 +163,7 @@ class EpisodeWriter:
             "height": height,
             "depth_unit_m": CameraFrame.DEPTH_UNIT_M,
         }
-        root, where, time = f"/camera/{frame.name}", f"camera_{frame.name}", frame.time
+        root, where, time = f"/camera/{frame.name}", f"camera_{frame.name}", self._since(frame.time)
         self._json(f"{root}/info", time, info)
 
         def draw() -> None:
@@ -183,11 +193,13 @@ class EpisodeWriter:
 
     def window(self, camera: str, time: float, png: bytes) -> None:
         """A part of a picture that a skill looked at, as PNG."""
+        time = self._since(time)
         pack = partial(ros_messages.compressed_image, time, f"camera_{camera}", "png", png)
         self._ros(f"/camera/{camera}/window", "sensor_msgs/msg/CompressedImage", time, pack)
 
     def points(self, time: float, xyz: Float[np.ndarray, "n 3"], rgb: UInt8[np.ndarray, "n 3"]) -> None:
         """A point cloud in the world frame, m; thin it before (10,000 points are 150 kB)."""
+        time = self._since(time)
         cloud = np.empty(len(xyz), POINT)
         cloud["xyz"], cloud["rgb"] = xyz, rgb
         self._ros(
@@ -251,6 +263,9 @@ class EpisodeWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _since(self, time: float) -> float:
+        return max(0.0, time - self._begin)
 
     def _json(self, topic: str, time: float, content: Mapping[str, Any], flush: bool = False) -> None:
         # A copy: what the caller gave may change before the thread comes to it.

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -27,7 +28,8 @@ from resync_robot.core.world import CameraFrame
 SIX = np.linspace(-1, 1, 6)
 VIEWED = (
     "/joint_states", "/joint_commands", "/tf", "/wrench", "/plan_text", "/atoms_text", "/rosout", "/latency",
-    "/camera/wrist/camera_info", "/camera/wrist/colour", "/camera/wrist/depth", "/camera/wrist/depth_mm", "/points",
+    "/camera/wrist/camera_info", "/camera/wrist/colour", "/camera/wrist/depth", "/camera/wrist/depth_mm",
+    "/camera/wrist/window", "/points",
 )  # fmt: skip
 """The channels for viewers."""
 
@@ -43,19 +45,19 @@ def block_state(x: float) -> State:
     return State({BLOCK("b0"): features}, {BLOCK("b0"): np.eye(10) * 1e-6})
 
 
-def write(path, seconds: float = 3.0) -> None:
+def write(path, seconds: float = 3.0, begin: float = 0.0) -> None:
     """Fifty joint messages a second, and one of everything else each second."""
     rng = np.random.default_rng(0)
-    with EpisodeWriter(path, meta()) as writer:
+    with EpisodeWriter(path, meta(), begin) as writer:
         for k in range(int(seconds * 50)):
-            t = k * 0.02
+            t = begin + k * 0.02
             target = JointTarget(SIX * k, 0.1)
             writer.joints(t, SIX * k + 0.01, SIX, 0.09, target, target)
             writer.tip_force(t, np.array([0.0, 1.0, k]))
             if k % 50 == 0:
                 writer.event(t, EventKind.SCAN, "looked", pose=np.eye(2))
-                writer.state(t, block_state(t))
-                writer.truth(t, block_state(t + 0.001))
+                writer.state(t, block_state(k * 0.02))
+                writer.truth(t, block_state(k * 0.02 + 0.001))
                 writer.atoms(t, {"On(b0, b1)": 0.25, "HandEmpty(r)": 1.0})
                 writer.plan(t, ["Pick(r, b0)", "Insert(r, b0, b1)"], k // 50, "first")
                 xyz = rng.normal(size=(200, 3)).astype(np.float32)
@@ -64,6 +66,7 @@ def write(path, seconds: float = 3.0) -> None:
                     "wrist", np.zeros((4, 6, 3), np.uint8), np.zeros((4, 6), np.uint16), np.eye(3) * 2, np.eye(4), t
                 )
                 writer.picture(frame, rng.bytes(3000), b"png")
+                writer.window("wrist", t, b"png")
                 writer.timing(Timing(t - 0.08, t - 0.01, t, 0.002))
         writer.flush()
         assert writer.error is None
@@ -110,6 +113,21 @@ def test_round_trip(tmp_path):
     assert list(episode.timings())[1] == Timing(0.92, 0.99, 1.0, 0.002)
     cloud = next(iter(episode.points()))
     assert cloud.xyz.shape == (200, 3) and cloud.xyz.dtype == np.float32 and (cloud.rgb == 7).all()
+
+
+def test_a_recording_counts_from_its_beginning_whatever_the_robots_clock_says(whole, tmp_path):
+    # Three days after the controller was switched on; the picture of the first target was exposed before that.
+    (tmp_path / "at-0.mcap").write_bytes(whole)
+    write(tmp_path / "later.mcap", begin=262_144.0)
+    first, later = (read_episode(tmp_path / name).messages for name in ("at-0.mcap", "later.mcap"))
+    assert first.keys() == later.keys()
+    assert {"/tf", "/wrench", "/rosout", "/camera/wrist/window", "/points", "/latency"} < first.keys()
+    for topic in first.keys() - {"/timing", "/latency"}:
+        assert first[topic] == later[topic], topic
+    timings = [list(read_episode(tmp_path / name).timings()) for name in ("at-0.mcap", "later.mcap")]
+    for one, other in zip(*timings, strict=True):
+        assert astuple(one) == pytest.approx(astuple(other), abs=1e-9)
+    assert timings[1][0].picture == 0.0 and timings[1][1].picture == pytest.approx(0.92)
 
 
 def test_the_rig_is_in_the_recording():

@@ -1,0 +1,73 @@
+"""Deployment through the real protocols: a whole task on the emulated arm, seen by its cameras."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from resync_robot import cli
+from resync_robot.core.episode import Episode, EventKind, read_episode
+from resync_robot.core.errors import RenderError
+from resync_robot.core.rig import load_rig
+from sim_training.world import SimWorld
+from tests import emulators, scenes
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.fixture(scope="module", autouse=True)
+def renderer() -> None:
+    try:
+        SimWorld(scenes.scene({"b0": (0.0, 0.0)}), load_rig(), rendered=True)
+    except RenderError as error:
+        pytest.skip(f"no Vulkan device: {error.what}")
+
+
+def deployed(folder: Path, *faults: str) -> tuple[int, Episode]:
+    """The exit code and the recording of an episode in which nothing has to be recovered."""
+    out = folder / "run"
+    words = ("--backend", "ur7e", "--scenario", "s4", "--seed", "1001", "--out", str(out))
+    with emulators.lab(folder, *faults) as rig:
+        code = cli.main(["deploy", *words, "--rig", str(rig)])
+    (path,) = out.glob("*.mcap")
+    return code, read_episode(path)
+
+
+def test_a_task_is_done_by_camera_and_wholly_recorded(tmp_path: Path) -> None:
+    code, episode = deployed(tmp_path)
+    assert code == 0 and episode.damage is None
+    kinds = [event.kind for event in episode.events()]
+    assert kinds.count(EventKind.SKILL_END) == 2 and kinds[-1] is EventKind.GOAL
+    assert episode.cameras == ("front", "side", "wrist")
+    joints = list(episode.joints())
+    # It counts from the episode's beginning, not from when the controller was switched on.
+    assert joints[0].time < 5.0
+    gaps = [later.time - earlier.time for earlier, later in pairwise(joints)]
+    assert min(gaps) >= 0 and max(gaps) < 5.0
+    timings = list(episode.timings())
+    assert timings and all(timing.due >= timing.asked for timing in timings)
+
+
+def test_a_protective_stop_is_cleared_by_the_operator_and_the_task_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr("builtins.input", lambda prompt: asked.append(prompt) or "clear")
+    code, episode = deployed(tmp_path, "protective-stop@20")
+    assert code == 0 and len(asked) == 1 and "STOP: the robot made a protective stop" in capsys.readouterr().out
+    stops = [event.time for event in episode.events() if event.kind is EventKind.STOP]
+    assert len(stops) == 1
+    still = [j for j in episode.joints() if stops[0] < j.time < stops[0] + 4.9]
+    assert all(abs(j.velocity).max() < 0.02 for j in still)
+
+
+def test_a_protective_stop_that_nobody_clears_ends_the_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("builtins.input", lambda prompt: "what?")
+    code, episode = deployed(tmp_path, "protective-stop@5")
+    assert code == 3
+    events = list(episode.events())
+    assert events[-1].kind is EventKind.GIVE_UP and "protective stop" in events[-1].text
+    joints = list(episode.joints())
+    assert joints[-1].time < events[-1].time + 0.5
