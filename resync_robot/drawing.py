@@ -83,8 +83,7 @@ def draw(episode: Episode, recording: rr.RecordingStream) -> None:
         recording.log("plan", rr.TextDocument(_plan_text(plan), media_type=rr.MediaType.MARKDOWN))
     for event in episode.events():
         recording.set_time("time", duration=event.time)
-        details = ", ".join(f"{k}={v}" for k, v in event.details.items())
-        text = ": ".join(part for part in (event.kind.value, event.text, details) if part)
+        text = ": ".join(part for part in dict.fromkeys((event.kind.value, event.text)) if part)
         recording.log("events", rr.TextLog(text, level=_LEVELS.get(event.kind, "INFO")))
     _draw_forces(episode, recording)
 
