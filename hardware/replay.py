@@ -1,7 +1,8 @@
 """A recorded episode in place of a robot: the arm goes where it is sent, everything it sees and feels was recorded.
 
-Its clock runs on setpoints, from the recording's first moment, and pads, pictures and objects are those of that moment.
-So the executive runs as it did, and what it does otherwise today shows as a departure from what was sent then.
+Its clock runs on setpoints, from the recording's first moment, and pads, pictures and objects are those of that moment;
+a look takes it on to when the picture was taken, for a real arm waits while somebody computes. So the executive runs as
+it did, and what it does otherwise today shows as a departure from what was sent then.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from hardware.base import SERVO_PERIOD, Connected, GripperState, RobotError, RobotState
 from resync_robot.core.episode import Episode, Joints, Picture
@@ -21,6 +22,8 @@ from resync_robot.core.world import CameraFrame, Cutout, Window
 
 HELD = 2e-3
 """m by which the recorded pads stood wider than asked for an object to have been between them."""
+STILL_S, STILL = 0.1, 1e-3
+"""s before and after, and m within which they did not move then: pads that are late stand wider, too."""
 
 
 class ReplayGripper(Connected):
@@ -58,6 +61,7 @@ class ReplayRobot(Connected):
         if not self._joints:
             raise EpisodeError(f"{episode.path} holds no joints to replay", "record one with resync-robot deploy")
         self._times = [j.time for j in self._joints]
+        self._held = held(self._joints)
         forces = list(episode.tip_force())
         self._force_times, self._forces = [t for t, _ in forces], [f for _, f in forces]
         self.gripper = ReplayGripper(self)
@@ -94,16 +98,22 @@ class ReplayRobot(Connected):
         if not self.ended:
             self.departure = max(self.departure, float(np.abs(self._recorded().sent.arm - q).max()))
 
+    def skip_to(self, time: float) -> None:
+        """Let it be that moment (s) now, if it has not come yet."""
+        self.time = max(self.time, time)
+
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
         self._require_connection()
 
+    def _row(self) -> int:
+        return max(0, bisect_right(self._times, self.time + 1e-9) - 1)
+
     def _recorded(self) -> Joints:
-        return self._joints[max(0, bisect_right(self._times, self.time + 1e-9) - 1)]
+        return self._joints[self._row()]
 
     def _opening(self) -> float:
-        then = self._recorded()
-        # Something stood between the pads then; otherwise they are where they are asked to be.
-        return max(self.asked, then.opening) if then.opening > then.sent.opening + HELD else self.asked
+        # Where nothing stood between the pads, they are where they are asked to be.
+        return max(self.asked, self._recorded().opening) if self._held[self._row()] else self.asked
 
     def _force(self) -> np.ndarray:
         i = bisect_right(self._force_times, self.time + 1e-9) - 1
@@ -112,6 +122,15 @@ class ReplayRobot(Connected):
     def _require_connection(self) -> None:
         if not self._connected:
             raise RobotError("the recording is not connected", "use it as `with ReplayRobot(episode) as robot:`")
+
+
+def held(joints: Sequence[Joints]) -> Bool[np.ndarray, " n"]:
+    """At which of these moments something stood between the pads."""
+    times, opening = np.array([j.time for j in joints]), np.array([j.opening for j in joints])
+    wider = opening > np.array([j.sent.opening for j in joints]) + HELD
+    begins, ends = np.searchsorted(times, times - STILL_S), np.searchsorted(times, times + STILL_S, side="right")
+    still = [np.ptp(opening[begin:end]) < STILL for begin, end in zip(begins, ends, strict=True)]
+    return wider & np.array(still)
 
 
 class ReplayCamera(Connected):
@@ -138,6 +157,7 @@ class ReplayCamera(Connected):
             )
         picture = self._pictures[self._taken]
         self._taken += 1
+        self._robot.skip_to(picture.time)
         return decode(picture)
 
     def cut_out(self, window: Window, size: int) -> Cutout:
@@ -149,6 +169,7 @@ class ReplayCamera(Connected):
             )
         time, png = self._windows[self._looked]
         self._looked += 1
+        self._robot.skip_to(time)
         colour = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) if png else None
         if colour is None or colour.shape != (size, size, 3):
             raise EpisodeError(

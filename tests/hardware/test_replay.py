@@ -69,6 +69,38 @@ def test_time_pads_forces_and_objects_are_those_of_the_moment(episode: Episode, 
         assert robot.departure < 0.0025
 
 
+def test_pads_that_are_late_hold_nothing(tmp_path: Path, rig: Rig) -> None:
+    meta = EpisodeMeta.of(rig, library_hash="", domain="d", scenario="s", goal="g", seed=0, backend="ur7e")
+    with EpisodeWriter(tmp_path / "e.mcap", meta) as writer:
+        for k in range(150):
+            # Told to close at 0.15 m/s, they follow 0.1 s later, and meet an object of 30 mm.
+            told, stand = (max(0.0, 0.1 - 0.003 * max(0, k - late)) for late in (0, 5))
+            writer.joints(
+                0.02 * k, rig.arm.home, np.zeros(6), max(stand, 0.03),
+                JointTarget(rig.arm.home, told), JointTarget(rig.arm.home, 0.0),
+            )  # fmt: skip
+    episode = read_episode(tmp_path / "e.mcap")
+    with ReplayRobot(episode) as robot:
+        found = []
+        for k in range(1490):
+            robot.servo(rig.arm.home, max(0.0, 0.1 - 0.0003 * k))
+            found.append(robot.gripper.state().object_detected)
+    # 0.47 s until they are told less than 30 mm, 0.1 s of being late, and as long at rest.
+    assert not any(found[: round(0.55 / SERVO_PERIOD)])
+    assert all(found[round(0.8 / SERVO_PERIOD) :])
+
+
+def test_a_look_takes_the_clock_on_to_when_the_picture_was_taken(episode: Episode, rig: Rig) -> None:
+    with ReplayRobot(episode) as robot:
+        camera = ReplayCamera(episode, "wrist", robot)
+        camera.capture()
+        assert robot.state().time == 5.0
+        camera.capture()
+        assert robot.state().time == 6.0
+        robot.skip_to(5.5)
+        assert robot.state().time == 6.0
+
+
 def test_a_departure_from_the_recording_is_measured(episode: Episode, rig: Rig) -> None:
     with ReplayRobot(episode) as robot:
         robot.servo(rig.arm.home + 0.3, 0.1)
