@@ -1,4 +1,4 @@
-"""Demonstrations on disk: a LeRobot dataset with h264 videos, written in shards, read back in one go.
+"""Demonstrations on disk: a LeRobot dataset with AV1 videos, written in shards, read back in one go.
 
 Training reads every frame many times, and decoding is slow, so all videos are decoded once into memory.
 """
@@ -6,6 +6,7 @@ Training reads every frame many times, and decoding is slow, so all videos are d
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
@@ -22,6 +23,9 @@ from resync_robot.learning.demonstrations import Demonstrations
 from sim_training.demos.rollouts import Segment
 
 VERSION = 3
+CODEC = "libsvtav1"
+"""The same pictures become the same video. x264, as LeRobot calls it, encodes one group of frames in a hundred another
+way each time, and so the same seed led to another policy."""
 QUEUE = 10_000
 """Frames that wait for their encoder. LeRobot drops those that find its queue full, on a busy machine every few."""
 STAMP = "resync.json"
@@ -62,7 +66,7 @@ def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Map
             features=features(segments[0].pictures.shape[2]),
             root=beside,
             use_videos=True,
-            vcodec="h264",
+            vcodec=CODEC,
             streaming_encoding=True,
             encoder_queue_maxsize=QUEUE,
             video_backend="pyav",
@@ -83,6 +87,7 @@ def _quiet() -> Iterator[None]:
     import av.logging
 
     av.logging.set_libav_level(av.logging.ERROR)
+    os.environ["SVT_LOG"] = "1"
     with redirect_stderr(StringIO()):
         yield
 
