@@ -59,8 +59,11 @@ def test_a_protective_stop_is_cleared_by_the_operator_and_the_task_goes_on(
     assert code == 0 and len(asked) == 1 and "STOP: the robot made a protective stop" in capsys.readouterr().out
     stops = [event.time for event in episode.events() if event.kind is EventKind.STOP]
     assert len(stops) == 1
-    still = [j for j in episode.joints() if stops[0] < j.time < stops[0] + 4.9]
-    assert all(abs(j.velocity).max() < 0.02 for j in still)
+    # Nothing is sent for 5 s, and then from where the arm stopped.
+    before = [j for j in episode.joints() if j.time <= stops[0]]
+    after = [j for j in episode.joints() if j.time > stops[0]]
+    assert after[0].time - stops[0] > 4.9
+    assert abs(after[0].measured - before[-1].measured).max() < 0.1
 
 
 def test_a_protective_stop_that_nobody_clears_ends_the_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,5 +72,6 @@ def test_a_protective_stop_that_nobody_clears_ends_the_episode(tmp_path: Path, m
     assert code == 3
     events = list(episode.events())
     assert events[-1].kind is EventKind.GIVE_UP and "protective stop" in events[-1].text
+    (stop,) = (event.time for event in events if event.kind is EventKind.STOP)
     joints = list(episode.joints())
-    assert joints[-1].time < events[-1].time + 0.5
+    assert joints and joints[-1].time < stop + 0.1

@@ -22,7 +22,8 @@ from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ
 from resync_robot.learning.demonstrations import Demonstrations
 from sim_training.demos.rollouts import Segment
 
-VERSION = 3
+VERSION = 4
+"""3 had h264 videos, which do not go into one dataset with others."""
 CODEC = "libsvtav1"
 """The same pictures become the same video. x264, as LeRobot calls it, encodes one group of frames in a hundred another
 way each time, and so the same seed led to another policy."""
