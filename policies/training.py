@@ -15,12 +15,13 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from policies.diffusion import ACTION, IMAGES, STATE, DiffusionStudent
-from resync_robot.core.errors import TrainingError
+from resync_robot.core.damage import reading
+from resync_robot.core.files import whole
 from resync_robot.learning.camera_view import BLOCK_MEAN, BLOCK_SPREAD, STATE_NAMES, VIEWS
 from resync_robot.learning.demonstrations import Demonstrations
 
@@ -230,14 +231,13 @@ class Trainer:
         for i, state in self._optimiser.state_dict()["state"].items():
             tensors |= {f"optimiser.{i}.{k}": v for k, v in state.items()}
         tensors["torch_rng"] = self._torch_rng.get_state()
-        beside = path.with_name(path.name + ".part")
         meta = {"step": str(self.step), "rng": json.dumps(self._rng.bit_generator.state)}
-        save_file({k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}, beside, meta)
-        beside.replace(path)
+        with whole(path) as beside:
+            save_file({k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}, beside, meta)
 
     def load(self, path: Path) -> None:
         """Go on where `save` left off. Raises TrainingError where the file is broken or of another policy."""
-        try:
+        with reading(path):
             with safe_open(path, "pt", str(self.student.device)) as file:
                 meta = file.metadata()
                 tensors = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118 - it is no mapping
@@ -250,8 +250,12 @@ class Trainer:
             self._torch_rng.set_state(tensors["torch_rng"].cpu())
             self._rng.bit_generator.state = json.loads(meta["rng"])
             self.step = int(meta["step"])
-        except (KeyError, RuntimeError, SafetensorError, ValueError) as error:
-            raise TrainingError(f"{path} does not hold this training: {error}", "remove it, and add --resume") from None
+
+
+def step_of(path: Path) -> int:
+    """After how many steps `Trainer.save` wrote this file. Raises TrainingError where it is damaged."""
+    with reading(path), safe_open(path, "pt") as file:
+        return int(file.metadata()["step"])
 
 
 def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:

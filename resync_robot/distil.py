@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from resync_robot.core.damage import check_folder_kind, check_shape, reading
 from resync_robot.core.errors import TrainingError
+from resync_robot.core.files import read_text
 from resync_robot.core.library import Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.task import Domain
@@ -190,26 +192,51 @@ def distil(
     Resumes from what it left in the run folder: finished shards, the training's own checkpoint, finished trials.
     """
     saved = folder.stages / "distil.json"
-    points: list[dict[str, Any]] = read_json(saved) or []
+    points = _read_points(saved)
     shares = _Shares(plan, progress)
     shards: list[Path] = []
+    check_folder_kind(folder.stages / "demonstrations")
     with_student = partial(make_context, domain.name, folder.rig, record, gaussians)
     for turn in range(plan.rounds + 1):
         student = None if turn == 0 else _candidate(folder, shares.until[turn - 1])
         context = partial(with_student, student, plan.blind)
         shards += _demonstrations(folder, plan, turn, seed, context, workers, shares)
         until = shares.until[turn]
-        if not (_candidate(folder, until) / "resync.json").exists():
+        if _candidate(folder, until).exists():
+            _check_candidate(_candidate(folder, until), folder.rig)
+        else:
             _train(folder, plan, shards, until, seed, device, shares)
+            points = [p for p in points if p["step"] != until]
         if not any(p["step"] == until for p in points):
             trials = _trials(partial(with_student, _candidate(folder, until), plan.blind), plan, seed, workers)
             points.append({"step": until, "worlds": len(trials), "success": sum(t.success for t in trials)})
+            points.sort(key=lambda p: int(p["step"]))
             write_json(saved, points)
         shares.tried(points[-1])
     step = to_keep(points)
     folder.record("distil", {"points": points, "chosen": step})
     _show(folder, shards, points, step)
     return {p.name: p.read_bytes() for p in sorted(_candidate(folder, step).iterdir())}
+
+
+def _read_points(path: Path) -> list[dict[str, Any]]:
+    """How the candidates did so far. Raises TrainingError where the file cannot be used."""
+    if not path.exists():
+        return []
+    with reading(path):
+        points: list[dict[str, Any]] = read_json(path)
+        check_shape(points, [{"step": int, "worlds": int, "success": int}])
+        if any(not 0 <= p["success"] <= p["worlds"] for p in points):
+            raise ValueError("a candidate recovered more often than it was tried")
+    return points
+
+
+def _check_candidate(path: Path, rig: Rig) -> None:
+    """Raises TrainingError where that is no whole student."""
+    from policies.diffusion import load_student
+
+    with reading(path):
+        load_student(path, rig)
 
 
 def to_keep(points: Sequence[Mapping[str, int]]) -> int:
@@ -233,8 +260,16 @@ def _show(folder: RunFolder, shards: list[Path], points: list[dict[str, Any]], c
     dataset.merge_shards(shards, folder.path / "dataset")
     sheet = dataset.contact_sheet(dataset.read_shards(shards[:: max(1, len(shards) // 6)]))
     cv2.imwrite(str(folder.path / "demonstrations.png"), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
-    rows = [line.split(",") for line in (folder.stages / "distil.csv").read_text().splitlines()]
-    draw_distillation([(float(r[0]), float(r[1])) for r in rows], points, chosen, folder.path / "distil.png")
+    draw_distillation(_read_losses(folder.stages / "distil.csv"), points, chosen, folder.path / "distil.png")
+
+
+def _read_losses(path: Path) -> list[tuple[float, float]]:
+    """(step, loss of the action) so far; none where the file is missing, for it is only drawn. Raises TrainingError."""
+    if not path.exists():
+        return []
+    with reading(path):
+        rows = [line.split(",") for line in read_text(path).splitlines()]
+        return [(float(step), float(loss)) for step, loss, *_ in rows]
 
 
 class _Shares:
@@ -292,7 +327,7 @@ def _train(
     import torch
 
     from policies.diffusion import SIZES, DiffusionStudent
-    from policies.training import DistilSettings, Trainer, has_bf16, statistics_of
+    from policies.training import DistilSettings, Trainer, has_bf16, statistics_of, step_of
 
     frames = dataset.read_shards(shards)
     frames = replace(frames, pictures=_blinded(frames.pictures, plan.blind))
@@ -303,7 +338,8 @@ def _train(
     student: DiffusionStudent = DiffusionStudent.create(SIZES[plan.size], statistics_of(first), device)
     trainer = Trainer(student, DistilSettings(batch=plan.batch, bf16=has_bf16(device)), shares.until[-1], seed)
     trainer.use(frames)
-    if checkpoint.exists():
+    # A candidate that was removed may lie before the checkpoint: then the training begins anew.
+    if checkpoint.exists() and step_of(checkpoint) <= until:
         trainer.load(checkpoint)
 
     def report(step: int, losses: Mapping[str, float]) -> None:

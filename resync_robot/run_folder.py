@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import time
 from collections.abc import Iterator
@@ -12,10 +13,25 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from resync_robot.core.errors import ConfigError
+from resync_robot.core.damage import AGAIN, check_folder_kind, check_shape, reading
+from resync_robot.core.errors import ConfigError, ResyncError
+from resync_robot.core.files import write_bytes
 from resync_robot.core.rig import Rig, load_rig
 
 RIG_FILE = "rig.toml"
+FILES = ("config.json", "metrics.json", RIG_FILE, "recovery.png", "demonstrations.png", "distil.png")
+FOLDERS = ("stages", "library", "dataset")
+"""What lies in a run folder."""
+LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
+"""Name of a file that a killed process was writing (`core.files.whole`)."""
+LIST = [float]
+FIGURES = {
+    "mine": {"tasks": int, "failed": int, "kept": int},
+    "recovery": {"curve": {"steps": LIST, "success": LIST, "return": LIST, "seconds": LIST}, "steps": float},
+    "check": {"worlds": int, "picked": int},
+    "distil": {"points": [{"step": int, "worlds": int, "success": int}], "chosen": int},
+}
+"""What stages leave in metrics.json beside the seconds that they took, and what others rely on."""
 
 
 class RunFolder:
@@ -24,6 +40,11 @@ class RunFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.stages = path / "stages"
+        for name in FILES:
+            if (path / name).is_dir():
+                raise ConfigError(f"{path / name} is a folder, and should be a file", AGAIN)
+        for name in FOLDERS:
+            check_folder_kind(path / name)
         check_folder(self.stages, of=path)
 
     @property
@@ -55,9 +76,54 @@ class RunFolder:
         beside.replace(self.path / RIG_FILE)
         self.__dict__.pop("rig", None)
 
+    def find_rig(self, begun: str | None, given: Path | None) -> None:
+        """Put the rig file that the run began with back where it was lost or altered.
+
+        Args:
+            begun: the hash of that rig; None where the run is new, or of a version that did not keep it.
+            given: a rig file that may be it.
+
+        Raises:
+            ConfigError: the rig here is another one by now, and the right one was not given.
+        """
+        kept = self.path / RIG_FILE
+        try:
+            if begun in (None, self.rig.hash):
+                return
+        except ResyncError:
+            if begun is None:
+                raise
+        if given is None or load_rig(given).hash != begun:
+            what = "damaged or altered" if kept.exists() else "missing"
+            raise ConfigError(
+                f"{kept} is {what}: the run began with a rig of hash {begun}",
+                "give that rig file again: --resume --rig FILE",
+            )
+        write_bytes(kept, given.read_bytes())
+        self.__dict__.pop("rig", None)
+
     @property
     def metrics(self) -> dict[str, Any]:
-        return read_json(self.path / "metrics.json") or {}
+        """Figures by stage. Raises TrainingError where the file cannot be used."""
+        path = self.path / "metrics.json"
+        with reading(path):
+            found = read_json(path) if path.exists() else {}
+            check_shape(found, {})
+            for stage, figures in found.items():
+                check_shape(figures, FIGURES.get(stage, {}) if _any_figures(figures) else {}, stage)
+                check_shape(figures.get("seconds", 0.0), float, f"{stage}.seconds")
+        return dict(found)
+
+    def has_figures(self, stage: str) -> bool:
+        """Did the stage leave what it found, and not only how long it took? Without that it is not finished."""
+        return _any_figures(self.metrics.get(stage, {}))
+
+    def sweep(self) -> None:
+        """Remove what a killed run was writing. Only while nobody else writes here."""
+        for folder in (self.path, self.stages):
+            for path in folder.glob(".*.part"):
+                if LEFTOVER.fullmatch(path.name):
+                    path.unlink(missing_ok=True)
 
     def record(self, stage: str, figures: dict[str, Any]) -> None:
         """Add a stage's figures to metrics.json."""
@@ -70,6 +136,10 @@ class RunFolder:
         yield
         spent = self.metrics.get(stage, {}).get("seconds", 0.0) + time.monotonic() - begin
         self.record(stage, {"seconds": round(spent, 1)})
+
+
+def _any_figures(figures: Any) -> bool:
+    return not isinstance(figures, dict) or bool(set(figures) - {"seconds"})
 
 
 def default_folder(name: str) -> Path:

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import save_file
 
 from resync_robot.core.errors import TrainingError
+from resync_robot.core.files import whole
 from resync_robot.core.library import Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.symbols import Object
@@ -20,11 +21,12 @@ from resync_robot.core.trajectory import Trajectory, read_trajectories, write_tr
 from resync_robot.core.vocabulary import ROBOT, TYPES
 from resync_robot.knowledge import initial_model, model_with_recovery
 from resync_robot.learning import recovery_policy as view
-from resync_robot.learning.failures import Culprit, PairGaussian, find_culprit, relative_pose
+from resync_robot.learning.failures import PairGaussian, find_culprit, relative_pose
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.terminals import train_terminal
 from resync_robot.planning.execute import Model, run_skill
-from resync_robot.run_folder import RunFolder, read_json, write_json
+from resync_robot.run_folder import RunFolder, write_json
+from resync_robot.stage_files import Mined, read_learned, read_mined
 from sim_training.domains import find_domain
 from sim_training.dream import DreamSpec, dream, dream_specs, useful
 from sim_training.mine import Attempt, attempt_task, is_at_rest, resample_failure
@@ -93,20 +95,6 @@ def make_context(domain: str, rig: Rig, recovery: Record | None) -> Context:
 # -- mining -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Mined:
-    """D^F: who failed on what, and world seeds whose resampled states really fail."""
-
-    culprit: Culprit
-    relevant: Object
-    before: PairGaussian
-    seeds: tuple[int, ...]
-    scenario: str
-
-    def tasks(self, domain: Domain) -> list[Task]:
-        return [resample_failure(domain, self.scenario, self.relevant, self.before, s) for s in self.seeds]
-
-
 def _try(context: Context, job: tuple[str, int]) -> Attempt | None:
     scenario, seed = job
     task = context.domain.scenario(scenario).sample_practice(np.random.default_rng(seed), seed)
@@ -121,9 +109,9 @@ def _retry(context: Context, job: tuple[str, Object, PairGaussian, int]) -> Atte
 
 def mine(domain: Domain, folder: RunFolder, preset: Preset, seed: int, workers: int, progress: Progress) -> Mined:
     """Try the training tasks, explain their failure, and make many more like it."""
-    path = folder.stages / "failures.json"
-    saved = read_json(path)
-    if saved is None:
+    path, attempts = folder.stages / "failures.json", folder.stages / "mining.jsonl"
+    mined = read_mined(path, domain)
+    if mined is None or not attempts.exists() or not folder.has_figures("mine"):
         first = seed * TRAINING_SEEDS
         scenario = next(s.name for s in domain.scenarios.values() if s.training)
         context = partial(make_context, domain.name, folder.rig, None)
@@ -154,25 +142,11 @@ def mine(domain: Domain, folder: RunFolder, preset: Preset, seed: int, workers: 
                 if attempt.failure and attempt.failure.skill == culprit.skill and len(seeds) < preset.failures:
                     seeds.append(job[3])
                 progress(min(1.0, len(seeds) / preset.failures), f"{len(seeds)} failures in {drawn} worlds")
-        write_trajectories(folder.stages / "mining.jsonl", [_as_attempt(t) for t in trajectories])
+        write_trajectories(attempts, [_as_attempt(t) for t in trajectories])
         folder.record("mine", {"tasks": len(tried), "failed": len(failures), "resampled": drawn, "kept": len(seeds)})
-        saved = {
-            "skill": culprit.skill,
-            "failure_object": culprit.failure_object.name,
-            "failure_object_type": culprit.failure_object.type.name,
-            "relevant": relevant.name,
-            "relevant_type": relevant.type.name,
-            "relevant_argument": culprit.relevant_argument,
-            "before": before.to_json(),
-            "seeds": seeds,
-            "scenario": scenario,
-        }
-        write_json(path, saved)
-    culprit = Culprit(
-        saved["skill"], TYPES[saved["failure_object_type"]](saved["failure_object"]), saved["relevant_argument"]
-    )
-    relevant = TYPES[saved["relevant_type"]](saved["relevant"])
-    return Mined(culprit, relevant, PairGaussian.from_json(saved["before"]), tuple(saved["seeds"]), saved["scenario"])
+        mined = Mined(culprit, relevant, before, tuple(seeds), scenario)
+        write_json(path, mined.to_json())
+    return mined
 
 
 def _as_attempt(t: Trajectory) -> Trajectory:
@@ -198,8 +172,8 @@ def learn_recovery(
         device: where PPO's scenes and networks live; what it learned is then tried out on the CPU in any case.
     """
     weights, meta = folder.stages / "recovery.safetensors", folder.stages / "recovery.json"
-    saved = read_json(meta)
-    if saved is None:
+    learned = read_learned(meta, weights)
+    if learned is None or not folder.has_figures("recovery"):
         rig, settings = folder.rig, RecoverySettings()
         tasks = mined.tasks(domain)
         net, figures = train_recovery(
@@ -220,7 +194,8 @@ def learn_recovery(
         tensors = {f"policy.{k}": v for k, v in net.to_tensors().items()}
         for name, terminal in (("terminal", done), ("failed", failed)):
             tensors |= {f"{name}.{k}": v for k, v in terminal.to_record().tensors.items()}
-        save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, weights)
+        with whole(weights) as beside:
+            save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, beside)
         folder.record(
             "recovery",
             {
@@ -230,18 +205,19 @@ def learn_recovery(
                 "failure_detector_accuracy": round(failed_accuracy, 4),
             },
         )
-        saved = {
-            "policy": {"width": 256, "depth": 4},
-            "terminal": done.to_record().meta,
-            "failed": failed.to_record().meta,
-            "signature": ["robot", mined.relevant.type.name, mined.culprit.failure_object.type.name],
-            "failed_skill": mined.culprit.skill,
-            "after": after.to_json(),
-        }
-        write_json(meta, saved)
-    return Record({k: v for k, v in saved.items() if k != "after"}, load_file(weights)), PairGaussian.from_json(
-        saved["after"]
-    )
+        record = Record(
+            {
+                "policy": {"width": 256, "depth": 4},
+                "terminal": done.to_record().meta,
+                "failed": failed.to_record().meta,
+                "signature": ["robot", mined.relevant.type.name, mined.culprit.failure_object.type.name],
+                "failed_skill": mined.culprit.skill,
+            },
+            tensors,
+        )
+        write_json(meta, {**record.meta, "after": after.to_json()})
+        learned = record, after
+    return learned
 
 
 def _roll_out(
@@ -362,8 +338,8 @@ def dream_all(
             finished, count, solved = finished + 1, count + 1, solved + any(t.solved for t in lived)
             progress(finished / len(specs), f"{solved} of {count} dreams solved")
         write_trajectories(path, found)
+    paths.append(folder.stages / "mining.jsonl")
     trajectories = [t for p in paths for t in read_trajectories(p, TYPES, predicates)]
-    trajectories += list(read_trajectories(folder.stages / "mining.jsonl", TYPES, predicates))
     kept, counts = useful(trajectories)
     folder.record("dream", {"sources": counts, "trajectories": len(kept)})
     return kept

@@ -9,44 +9,53 @@ from typing import TYPE_CHECKING, Any, Literal
 from resync_robot.core.errors import ConfigError, TrainingError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from resync_robot.core.library import Record
     from resync_robot.core.task import Domain
     from resync_robot.learning.failures import PairGaussian
     from resync_robot.learning.model import Concepts
     from resync_robot.run_folder import RunFolder
-    from resync_robot.stages import Mined
+    from resync_robot.run_settings import RunSettings
+    from resync_robot.stage_files import Mined
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """Learn from failures in simulation and write a library."""
+    """Learn from failures in simulation and write a library.
 
-    domain: str = "cornered-insertion-s"
-    """The domain to train in."""
+    None stands for what was not given: a run that is resumed keeps what it began with, and takes nothing else.
+    """
 
-    preset: Literal["smoke", "quick", "full"] = "quick"
-    """How much to train: quick fits two cores in half an hour, full is for a workstation, smoke only tests the way."""
+    domain: str | None = None
+    """The domain to train in. Default: cornered-insertion-s."""
 
-    seed: int = 0
-    """Seed of every random draw. The same seed gives the same library on one machine."""
+    preset: Literal["smoke", "quick", "full"] | None = None
+    """How much to train: quick (default) fits two cores in half an hour, full is for a workstation, smoke only tests
+    the way."""
+
+    seed: int | None = None
+    """Seed of every random draw. The same seed gives the same library on one machine. Default: 0."""
 
     out: Path | None = None
     """Folder of the run. Default: runs/DATE-DOMAIN."""
 
     resume: bool = False
-    """Go on where the run in --out (default: the latest one of this domain) was cut off."""
+    """Go on where the run in --out (default: the latest one of this domain) was cut off, with its own settings."""
 
     rig: Path | None = None
     """The robot and cameras to train for, a TOML file. Default: the rig that the simulation assumes."""
 
-    device: Literal["cpu", "cuda"] = "cpu"
-    """Where the recovery is learned; cuda: thousands of scenes in ManiSkill. The other stages run on the CPU."""
+    device: Literal["cpu", "cuda"] | None = None
+    """Where the recovery is learned; cuda: thousands of scenes in ManiSkill. The other stages run on the CPU. Default:
+    cpu."""
 
-    concepts: Literal["default", "paper"] = "default"
-    """How predicates and operators are learned: this project's choices or the published formulation."""
+    concepts: Literal["default", "paper"] | None = None
+    """How predicates and operators are learned: this project's choices (default) or the published formulation."""
 
-    skills: Literal["camera", "state"] = "camera"
-    """camera: teach the recovery to see by camera as well, at the end. state: leave it at the simulator's state."""
+    skills: Literal["camera", "state"] | None = None
+    """camera (default): teach the recovery to see by camera as well, at the end. state: leave it at the simulator's
+    state."""
 
     workers: int = 2
     """Simulation processes, for --device cpu."""
@@ -56,56 +65,72 @@ def train(config: TrainConfig) -> None:
     """Run every stage of `config` that its run folder does not hold yet, and save the library.
 
     Raises:
-        ResyncError: bad input, or a stage that cannot produce what the next one needs.
+        ResyncError: bad input, a run folder that another process writes or whose files are damaged, or a stage that
+            cannot produce what the next one needs.
     """
     from resync_robot import run_folder
+    from resync_robot.core.lock import LOCK, sole_writer
+    from resync_robot.run_settings import CONFIG, SHAPING, RunSettings
     from sim_training.domains import find_domain
 
-    domain = find_domain(config.domain)
-    if config.seed < 0:
-        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
+    given = {name: getattr(config, name) for name in SHAPING if getattr(config, name) is not None}
+    begun = RunSettings(**given)
+    find_domain(begun.domain)
+    if begun.seed < 0:
+        raise ConfigError(f"--seed is {begun.seed}", "give a whole number from 0 on")
+    if config.workers < 1:
+        raise ConfigError(f"--workers is {config.workers}; at least one is needed")
     if config.resume:
-        path = config.out or run_folder.latest_folder(config.domain)
-        config = _resumed(path, config)
+        path = config.out or run_folder.latest_folder(begun.domain)
+        if not (path / CONFIG).exists():
+            raise ConfigError(f"{path} holds no run to resume", "start one without --resume")
     else:
-        path = config.out or run_folder.default_folder(config.domain)
-        if (path / "config.json").exists():
-            raise ConfigError(f"{path} already holds a run", "add --resume to go on with it, or give another --out")
-    folder = run_folder.RunFolder(path)
-    folder.keep_rig(config.rig)
-    _check_device(config, folder)
-    if config.skills == "camera":
-        _check_renderer()
-    run_folder.write_json(path / "config.json", _settings(config))
-    _quiet_threads()
-    _run(config, domain, folder)
+        path = config.out or run_folder.default_folder(begun.domain)
+    run_folder.check_folder(path)
+    with sole_writer(path / LOCK, path, "give another folder with --out"):
+        settings, rig = _resumed(path, given) if config.resume else (_new(path, begun), None)
+        folder = run_folder.RunFolder(path)
+        folder.sweep()
+        folder.find_rig(rig, config.rig)
+        folder.keep_rig(config.rig)
+        _check_device(settings, folder)
+        if settings.skills == "camera":
+            _check_renderer()
+        run_folder.write_json(path / CONFIG, _kept(settings, folder))
+        _quiet_threads()
+        _run(settings, config.workers, find_domain(settings.domain), folder)
 
 
-SHAPING = ("domain", "preset", "seed", "concepts", "device", "skills")
-"""Settings that decide the outcome; a resumed run keeps those it began with."""
+def _new(path: Path, settings: RunSettings) -> RunSettings:
+    """Refuse a folder in which something is left of another run. Raises ConfigError."""
+    if (path / "config.json").exists():
+        raise ConfigError(f"{path} already holds a run", "add --resume to go on with it, or give another --out")
+    if (path / "stages").is_dir() and any((path / "stages").iterdir()):
+        raise ConfigError(
+            f"{path / 'stages'} is left of a run whose config.json is gone",
+            "remove it, or give another --out",
+        )
+    return settings
 
 
-def _settings(config: TrainConfig) -> dict[str, Any]:
+def _resumed(path: Path, given: Mapping[str, Any]) -> tuple[RunSettings, str | None]:
+    from resync_robot.run_settings import read_settings
+    from sim_training.domains import DOMAINS
+
+    return read_settings(path, given, tuple(DOMAINS))
+
+
+def _kept(settings: RunSettings, folder: RunFolder) -> dict[str, Any]:
+    """What config.json holds: with it a run goes on, and anybody sees how its library came about."""
+    from dataclasses import asdict
+
     from resync_robot.run_folder import git_hash
 
-    return {name: getattr(config, name) for name in SHAPING} | {"git": git_hash()}
+    return {**asdict(settings), "rig": folder.rig.hash, "git": git_hash()}
 
 
-def _resumed(path: Path, config: TrainConfig) -> TrainConfig:
-    from dataclasses import replace
-
-    from resync_robot.run_folder import read_json
-
-    saved = read_json(path / "config.json")
-    if saved is None:
-        raise ConfigError(f"{path} holds no run to resume", "start one without --resume")
-    if not isinstance(saved, dict) or not set(SHAPING) <= set(saved):
-        raise ConfigError(f"{path / 'config.json'} is not the config of a run", "start a new run without --resume")
-    return replace(config, **{name: saved[name] for name in SHAPING}, out=path)
-
-
-def _check_device(config: TrainConfig, folder: RunFolder) -> None:
-    if config.device == "cuda":
+def _check_device(settings: RunSettings, folder: RunFolder) -> None:
+    if settings.device == "cuda":
         import torch
 
         from resync_robot.core.rig import load_rig
@@ -142,28 +167,27 @@ def _quiet_threads() -> None:
     torch.set_num_threads(1)
 
 
-def _run(config: TrainConfig, domain: Domain, folder: RunFolder) -> None:
+def _run(settings: RunSettings, w: int, domain: Domain, folder: RunFolder) -> None:
     from resync_robot import stages
     from resync_robot.distil import PLANS, distil
     from resync_robot.learning.concepts import learn_concepts
     from resync_robot.progress import Stages
 
-    preset = stages.PRESETS[config.preset]
-    w, seed = config.workers, config.seed
+    preset, seed = stages.PRESETS[settings.preset], settings.seed
     names = [
         "mine",
         "recover",
         "check",
         "dream",
         "concepts",
-        *(["distil"] if config.skills == "camera" else []),
+        *(["distil"] if settings.skills == "camera" else []),
         "save",
     ]
     with Stages(tuple(names)) as bars:
         with folder.timed("mine"), bars.stage("mine") as progress:
             mined = stages.mine(domain, folder, preset, seed, w, progress)
         with folder.timed("recovery"), bars.stage("recover") as progress:
-            record, after = stages.learn_recovery(domain, folder, preset, mined, seed, w, progress, config.device)
+            record, after = stages.learn_recovery(domain, folder, preset, mined, seed, w, progress, settings.device)
         with folder.timed("check"), bars.stage("check") as progress:
             if "worlds" not in folder.metrics.get("check", {}):
                 first = seed * stages.TRAINING_SEEDS + 400_000
@@ -182,7 +206,7 @@ def _run(config: TrainConfig, domain: Domain, folder: RunFolder) -> None:
                 domain.recovery,
                 types,
                 mined.culprit.skill,
-                config.concepts,
+                settings.concepts,
                 seed,
                 lambda what, share: progress(share, what),
             )
@@ -191,17 +215,17 @@ def _run(config: TrainConfig, domain: Domain, folder: RunFolder) -> None:
                     f"no operator was learned for {domain.recovery}", "train with more dreams: --preset full"
                 )
         policy = None
-        if config.skills == "camera":
+        if settings.skills == "camera":
             with folder.timed("distil"), bars.stage("distil") as progress:
-                plan = PLANS[config.preset]
-                policy = distil(domain, folder, plan, record, gaussians, seed, w, config.device, progress)
+                plan = PLANS[settings.preset]
+                policy = distil(domain, folder, plan, record, gaussians, seed, w, settings.device, progress)
         with folder.timed("save"), bars.stage("save"):
-            _save(config, domain, folder, mined, record, gaussians, concepts, policy)
+            _save(settings, domain, folder, mined, record, gaussians, concepts, policy)
     _report(domain, folder, concepts)
 
 
 def _save(
-    config: TrainConfig,
+    settings: RunSettings,
     domain: Domain,
     folder: RunFolder,
     mined: Mined,
@@ -221,7 +245,7 @@ def _save(
     folder.record("concepts", {"report": concepts.report})
     culprit = mined.culprit
     provenance = {
-        **_settings(config),
+        **_kept(settings, folder),
         "version": __version__,
         "packages": {p: version(p) for p in ("torch", "lerobot", "sapien", "numpy", "pyperplan")},
         "failure": {

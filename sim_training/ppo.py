@@ -18,6 +18,8 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from resync_robot.core.damage import reading
+from resync_robot.core.files import whole
 from resync_robot.core.rig import Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
@@ -325,23 +327,33 @@ def _save(path: Path, net: ActorCritic, optimiser: torch.optim.Optimizer, curve:
     for i, state in optimiser.state_dict()["state"].items():
         tensors |= {f"adam.{i}.{k}": torch.as_tensor(v).contiguous() for k, v in state.items()}
     tensors |= {f"curve.{k}": torch.tensor(v, dtype=torch.float64) for k, v in curve.items()}
-    beside = path.with_suffix(".part")
-    save_file(tensors, beside)
-    beside.replace(path)
+    with whole(path) as beside:
+        save_file(tensors, beside)
 
 
 def _load(
     path: Path, net: ActorCritic, optimiser: torch.optim.Optimizer, curve: dict[str, list[float]]
 ) -> tuple[int, float]:
-    tensors = load_file(path)
-    net.load_state_dict({k[4:]: v for k, v in tensors.items() if k.startswith("net.")})
-    state: dict[int, dict[str, Tensor]] = {}
-    for key, value in tensors.items():
-        if key.startswith("adam."):
-            _, i, name = key.split(".")
-            state.setdefault(int(i), {})[name] = value
-    if state:
-        optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
-    for key in curve:
-        curve[key] = tensors[f"curve.{key}"].tolist()
+    """Go on where `_save` left off: steps so far and seconds spent. Raises TrainingError where the file is damaged or
+    of another training."""
+    with reading(path):
+        tensors = load_file(path)
+        net.load_state_dict({k[4:]: v for k, v in tensors.items() if k.startswith("net.")})
+        state: dict[int, dict[str, Tensor]] = {}
+        for key, value in tensors.items():
+            if key.startswith("adam."):
+                _, i, name = key.split(".")
+                state.setdefault(int(i), {})[name] = value
+        # torch takes an optimiser's state of any shape, and fails later.
+        for i, parameter in enumerate(net.parameters()):
+            if state and state[i]["exp_avg"].shape != parameter.shape:
+                raise ValueError(
+                    f"the optimiser's state of parameter {i} is of shape {tuple(state[i]['exp_avg'].shape)}"
+                )
+        if state:
+            optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+        for key in curve:
+            curve[key] = tensors[f"curve.{key}"].tolist()
+        if len({len(values) for values in curve.values()}) > 1:
+            raise ValueError("its learning curve has parts of different lengths")
     return (int(curve["steps"][-1]), curve["seconds"][-1]) if curve["steps"] else (0, 0.0)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from resync_robot import run_folder
-from resync_robot.core.errors import ConfigError
+from resync_robot.core.errors import ConfigError, TrainingError
 from resync_robot.core.rig import load_rig
 from resync_robot.run_folder import RunFolder, check_writable, default_folder, latest_folder, read_json, write_json
 
@@ -24,10 +24,22 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_figures_of_a_stage_are_added_to_those_it_has(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
     assert folder.metrics == {}
-    folder.record("mine", {"failed": 3})
-    folder.record("mine", {"kept": 2})
+    folder.record("look", {"failed": 3})
+    folder.record("look", {"kept": 2})
     folder.record("dream", {"solved": 1})
-    assert RunFolder(tmp_path / "run").metrics == {"mine": {"failed": 3, "kept": 2}, "dream": {"solved": 1}}
+    assert RunFolder(tmp_path / "run").metrics == {"look": {"failed": 3, "kept": 2}, "dream": {"solved": 1}}
+
+
+def test_a_stage_of_which_only_the_seconds_are_known_left_no_figures(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    assert not folder.has_figures("mine")
+    folder.record("mine", {"seconds": 3.0})
+    assert not folder.has_figures("mine")
+    folder.record("mine", {"tasks": 10, "failed": 3, "kept": 16})
+    assert folder.has_figures("mine")
+    write_json(tmp_path / "metrics.json", {"mine": {"tasks": "ten", "failed": 3, "kept": 16}})
+    with pytest.raises(TrainingError, match=r"'mine.tasks' is 'ten'"):
+        folder.has_figures("mine")
 
 
 def test_seconds_add_up_over_resumed_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,10 +14,11 @@ import pytest
 from resync_robot import cli, train
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.library import load_library
+from resync_robot.core.lock import LOCK, sole_writer
 from resync_robot.core.rig import load_rig
 from resync_robot.knowledge import learned_model
-from resync_robot.run_folder import write_json
-from resync_robot.train import SHAPING, TrainConfig
+from resync_robot.run_settings import SHAPING, RunSettings
+from resync_robot.train import TrainConfig
 from sim_training.domains import find_domain
 from tests.libraries import DOMAIN
 
@@ -27,6 +28,8 @@ from tests.libraries import DOMAIN
     [
         (("--domain", "kitchen"), "unknown domain 'kitchen'"),
         (("--seed", "-1"), "--seed is -1"),
+        (("--workers", "0"), "--workers is 0"),
+        (("--workers", "-2"), "--workers is -2"),
         (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),
         (("--resume",), "no run of 'cornered-insertion-s'"),
         (("--resume", "--out", "nowhere"), "nowhere holds no run to resume"),
@@ -64,32 +67,58 @@ def test_cuda_without_a_device_is_an_error_that_says_what_to_use(monkeypatch: py
     assert "--device cpu" in caught.value.fix
 
 
-def test_a_run_keeps_its_settings_when_it_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ran: list[TrainConfig] = []
-    monkeypatch.setattr(train, "_run", lambda config, domain, folder: ran.append(config))
+@pytest.fixture
+def ran(monkeypatch: pytest.MonkeyPatch) -> list[tuple[RunSettings, int]]:
+    """Settings and workers of every training that would have begun."""
+    begun: list[tuple[RunSettings, int]] = []
+    monkeypatch.setattr(train, "_run", lambda settings, workers, domain, folder: begun.append((settings, workers)))
+    return begun
+
+
+def test_a_run_keeps_its_settings_when_it_is_resumed(tmp_path: Path, ran: list[tuple[RunSettings, int]]) -> None:
     begun = TrainConfig(preset="smoke", seed=7, concepts="paper", out=tmp_path / "run")
     train.train(begun)
-    train.train(TrainConfig(preset="full", seed=1, workers=1, out=tmp_path / "run", resume=True))
-    first, second = ran
-    assert {name: getattr(second, name) for name in SHAPING} == {name: getattr(first, name) for name in SHAPING}
-    assert second.workers == 1
+    train.train(TrainConfig(workers=1, out=tmp_path / "run", resume=True))
+    assert [settings for settings, _ in ran] == [RunSettings(preset="smoke", seed=7, concepts="paper")] * 2
+    assert [workers for _, workers in ran] == [2, 1]
     assert json.loads((tmp_path / "run" / "config.json").read_text())["seed"] == 7
 
 
-def test_resume_without_a_folder_takes_the_latest_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resume_without_a_folder_takes_the_latest_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ran: list[tuple[RunSettings, int]]
+) -> None:
     monkeypatch.chdir(tmp_path)
-    ran: list[TrainConfig] = []
-    monkeypatch.setattr(train, "_run", lambda config, domain, folder: ran.append(config))
     train.train(TrainConfig(preset="smoke", seed=3))
     train.train(TrainConfig(resume=True))
-    assert [c.seed for c in ran] == [3, 3]
-    assert ran[1].out is not None and ran[1].out.name.endswith(DOMAIN)
+    assert [settings.seed for settings, _ in ran] == [3, 3]
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert folder.name.endswith(DOMAIN)
 
 
-def test_the_saved_config_names_all_that_decides_the_outcome(tmp_path: Path) -> None:
-    saved = train._settings(TrainConfig(seed=4))
-    assert set(saved) == {*SHAPING, "git"}
-    write_json(tmp_path / "config.json", saved)
+def test_the_saved_config_names_all_that_decides_the_outcome(
+    tmp_path: Path, ran: list[tuple[RunSettings, int]]
+) -> None:
+    train.train(TrainConfig(preset="smoke", seed=4, out=tmp_path / "run"))
+    saved = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert set(saved) == {*SHAPING, "rig", "git"}
+    assert (saved["seed"], saved["rig"]) == (4, load_rig().hash)
+
+
+def test_a_folder_has_one_run_at_a_time_and_a_refused_one_changes_nothing(
+    tmp_path: Path, ran: list[tuple[RunSettings, int]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    train.train(TrainConfig(preset="smoke", out=out))
+    ran.clear()
+    with sole_writer(out / LOCK, out, ""):
+        before = sorted(tmp_path.rglob("*"))
+        for how in ((), ("--resume",)):
+            assert cli.main(["train-sim", *how, "--out", str(out)]) == 2
+            assert f"{out} is being written by process {os.getpid()}" in capsys.readouterr().err
+        assert sorted(tmp_path.rglob("*")) == before
+    assert ran == []
+    assert cli.main(["train-sim", "--resume", "--out", str(out)]) == 0
+    assert len(ran) == 1
 
 
 # -- whole runs -------------------------------------------------------------------------------------------------------
@@ -106,7 +135,13 @@ def run_smoke(out: Path, *more: str, kill_when: str | None = None, after: float 
                 time.sleep(0.05)
             assert run.poll() is None, f"the run ended before {kill_when}"
             time.sleep(after)
+            with pytest.raises(ConfigError, match=f"process {run.pid} "), sole_writer(out / LOCK, out, ""):
+                pass
             run.kill()
+            run.wait()
+            # At once, though its workers may take a moment longer to notice.
+            with sole_writer(out / LOCK, out, ""):
+                pass
         return run.wait(timeout=1800)
     finally:
         run.kill()

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from resync_robot.core.damage import check_shape, reading
+from resync_robot.core.errors import ResyncError
+from resync_robot.core.files import read_text, whole
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, Object, Predicate, Type
+
+STEP = {"skill": str, "objects": [str], "succeeded": bool, "before": dict, "after": dict}
+LINE = {"goal": [[str]], "solved": bool, "source": str, "transitions": [STEP]}
+"""The fields of a trajectory in a file."""
 
 
 @dataclass(frozen=True)
@@ -76,18 +83,35 @@ class Trajectory:
 
 
 def write_trajectories(path: Path, trajectories: Iterable[Trajectory]) -> None:
-    """One JSON object a line, written beside and renamed, so that a kill leaves the old file or the new one."""
-    beside = path.with_suffix(".part")
-    with beside.open("w") as out:
+    """One JSON object a line, and a last line that counts them; whole or not at all.
+
+    Raises:
+        OSError: what was there before is untouched.
+    """
+    count = 0
+    with whole(path) as beside, beside.open("w", encoding="utf-8") as out:
         for t in trajectories:
             out.write(json.dumps(t.to_json()) + "\n")
-    beside.replace(path)
+            count += 1
+        out.write(json.dumps({"trajectories": count}) + "\n")
 
 
-def read_trajectories(
-    path: Path, types: Mapping[str, Type], predicates: Mapping[str, Predicate]
-) -> Iterator[Trajectory]:
-    """The trajectories of a file written by `write_trajectories`."""
-    with path.open() as lines:
-        for line in lines:
-            yield Trajectory.from_json(json.loads(line), types, predicates)
+def read_trajectories(path: Path, types: Mapping[str, Type], predicates: Mapping[str, Predicate]) -> list[Trajectory]:
+    """The trajectories of a file written by `write_trajectories`. Raises TrainingError where it is not whole."""
+    found: list[Trajectory] = []
+    with reading(path):
+        lines = read_text(path).splitlines()
+        count = None
+        for number, line in enumerate(lines, 1):
+            try:
+                data = json.loads(line)
+                if number == len(lines) and isinstance(data, dict) and set(data) == {"trajectories"}:
+                    count = data["trajectories"]
+                    continue
+                check_shape(data, LINE)
+                found.append(Trajectory.from_json(data, types, predicates))
+            except (KeyError, TypeError, ValueError, ResyncError) as error:
+                raise ValueError(f"line {number}: {error}") from error
+        if count != len(found):
+            raise ValueError(f"it holds {len(found)} trajectories and no last line that counts them: it was cut off")
+    return found

@@ -95,7 +95,15 @@ class PairGaussian:
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> PairGaussian:
-        return PairGaussian(np.asarray(data["mean"], dtype=float), np.asarray(data["covariance"], dtype=float))
+        """The inverse of `to_json`. Raises ValueError or KeyError where the data is no Gaussian of four numbers."""
+        mean, covariance = (np.asarray(data[name], dtype=float) for name in ("mean", "covariance"))
+        if mean.shape != (4,) or covariance.shape != (4, 4):
+            raise ValueError(f"a Gaussian has 4 and 4 x 4 numbers, not {mean.shape} and {covariance.shape}")
+        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+            raise ValueError("a Gaussian has numbers that are none")
+        # It raises where nothing can be drawn.
+        np.linalg.cholesky(covariance)
+        return PairGaussian(mean, covariance)
 
     @staticmethod
     def fit(relative: Sequence[np.ndarray]) -> PairGaussian:

@@ -5,6 +5,7 @@ Training reads every frame many times, and decoding is slow, so all videos are d
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -17,20 +18,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from resync_robot.core.damage import check_shape, reading
 from resync_robot.core.errors import TrainingError
+from resync_robot.core.files import read_text, write_text
 from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ, STATE_NAMES, VIEWS
 from resync_robot.learning.demonstrations import Demonstrations
 from sim_training.demos.rollouts import Segment
 
-VERSION = 4
-"""3 had h264 videos, which do not go into one dataset with others."""
+VERSION = 5
+"""3 had h264 videos, which do not go into one dataset with others; 4 had no hashes of its files."""
 CODEC = "libsvtav1"
 """The same pictures become the same video. x264, as LeRobot calls it, encodes one group of frames in a hundred another
 way each time, and so the same seed led to another policy."""
 QUEUE = 10_000
 """Frames that wait for their encoder. LeRobot drops those that find its queue full, on a busy machine every few."""
 STAMP = "resync.json"
-"""Beside LeRobot's own files: version, seeds, rig."""
+"""Beside LeRobot's own files: version, seeds, rig, and what the files of a shard hash to."""
 RECOVERED, WHERE, ACTS, ENDS = "privileged.recovered", "privileged.block", "segment.acts", "segment.ends_recovered"
 
 
@@ -78,8 +81,18 @@ def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Map
             dataset.finalize()
     else:
         beside.mkdir()
-    (beside / STAMP).write_text(json.dumps({"version": VERSION, **stamp}, indent=2, sort_keys=True) + "\n")
+    write_text(beside / STAMP, _json({"version": VERSION, "files": _hashes(beside), **stamp}))
     beside.replace(folder)
+
+
+def _json(data: Mapping[str, Any]) -> str:
+    return json.dumps(data, indent=2, sort_keys=True) + "\n"
+
+
+def _hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file but the stamp, by its path in the folder."""
+    paths = sorted(p for p in folder.rglob("*") if p.is_file() and p != folder / STAMP)
+    return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in paths}
 
 
 @contextmanager
@@ -112,16 +125,22 @@ def _add(dataset: Any, segment: Segment, task: str) -> None:
 
 
 def merge_shards(shards: Sequence[Path], folder: Path) -> None:
-    """One LeRobot dataset of all shards, for whoever wants to train or look elsewhere; whole, or not there at all."""
+    """One LeRobot dataset of all shards, for whoever wants to train or look elsewhere; whole, or not there at all.
+
+    Raises:
+        TrainingError: a shard is missing, damaged or of another version.
+    """
     from lerobot.datasets.aggregate import aggregate_datasets
 
+    for shard in shards:
+        check_shard(shard)
     parts = [s for s in shards if (s / "meta" / "info.json").exists()]
     beside = folder.with_name(folder.name + ".part")
     shutil.rmtree(beside, ignore_errors=True)
     with _quiet():
         aggregate_datasets(["local/recoveries"] * len(parts), "local/recoveries", roots=parts, aggr_root=beside)
-    stamps = [json.loads((s / STAMP).read_text()) for s in shards]
-    (beside / STAMP).write_text(json.dumps({"version": VERSION, "shards": stamps}, indent=2, sort_keys=True) + "\n")
+    stamps = [json.loads(read_text(s / STAMP)) for s in shards]
+    write_text(beside / STAMP, _json({"version": VERSION, "shards": stamps}))
     shutil.rmtree(folder, ignore_errors=True)
     beside.replace(folder)
 
@@ -167,34 +186,39 @@ def read_shards(folders: Sequence[Path]) -> Demonstrations:
 def _read_shard(folder: Path) -> Demonstrations | None:
     import pyarrow.parquet as pq
 
-    _check_stamp(folder)
-    tables = [pq.read_table(path).to_pydict() for path in sorted((folder / "data").rglob("*.parquet"))]
-    if not tables:
-        return None
-    columns = {name: np.concatenate([np.asarray(t[name]) for t in tables]) for name in tables[0]}
-    pictures = np.stack([_decode(folder, view, len(columns["index"])) for view in VIEWS], axis=1)
-    return Demonstrations(
-        pictures,
-        columns["observation.state"].astype(np.float32),
-        columns["action"].astype(np.float32),
-        columns[RECOVERED].reshape(-1) > 0.5,
-        columns[WHERE].astype(np.float32),
-        columns[ACTS].reshape(-1) > 0.5,
-        columns["episode_index"],
-        columns[ENDS].reshape(-1) > 0.5,
-    )
-
-
-def _check_stamp(folder: Path) -> None:
-    try:
-        stamp = json.loads((folder / STAMP).read_text())
-    except (OSError, ValueError) as error:
-        raise TrainingError(f"{folder} holds no demonstrations: {error}", "remove it, and add --resume") from None
-    if stamp.get("version") != VERSION:
-        raise TrainingError(
-            f"{folder} holds demonstrations of version {stamp.get('version')}, this program reads {VERSION}",
-            "remove the folder, and add --resume",
+    check_shard(folder)
+    with reading(folder):
+        tables = [pq.read_table(path).to_pydict() for path in sorted((folder / "data").rglob("*.parquet"))]
+        if not tables:
+            return None
+        columns = {name: np.concatenate([np.asarray(t[name]) for t in tables]) for name in tables[0]}
+        pictures = np.stack([_decode(folder, view, len(columns["index"])) for view in VIEWS], axis=1)
+        return Demonstrations(
+            pictures,
+            columns["observation.state"].astype(np.float32),
+            columns["action"].astype(np.float32),
+            columns[RECOVERED].reshape(-1) > 0.5,
+            columns[WHERE].astype(np.float32),
+            columns[ACTS].reshape(-1) > 0.5,
+            columns["episode_index"],
+            columns[ENDS].reshape(-1) > 0.5,
         )
+
+
+def check_shard(folder: Path) -> None:
+    """Raises TrainingError where the shard is not, file by file, what `write_shard` left."""
+    with reading(folder):
+        stamp = json.loads(read_text(folder / STAMP))
+        found = stamp.get("version") if isinstance(stamp, dict) else None
+        if found != VERSION:
+            raise ValueError(f"its demonstrations are of version {found}, this program reads {VERSION}")
+        check_shape(stamp, {"files": {}})
+        here = _hashes(folder)
+        for name, digest in stamp["files"].items():
+            if name not in here:
+                raise ValueError(f"{name} is missing")
+            if here[name] != digest:
+                raise ValueError(f"{name} was cut off or altered since it was written")
 
 
 def _decode(folder: Path, view: str, count: int) -> UInt8[np.ndarray, "n p p 3"]:
@@ -205,8 +229,5 @@ def _decode(folder: Path, view: str, count: int) -> UInt8[np.ndarray, "n p p 3"]
         with av.open(str(path)) as container:
             frames += [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
     if len(frames) != count:
-        raise TrainingError(
-            f"{folder}: the videos of '{view}' hold {len(frames)} frames, the table {count}",
-            "remove the folder, and add --resume",
-        )
+        raise ValueError(f"the videos of '{view}' hold {len(frames)} frames, the table {count}")
     return np.stack(frames)
