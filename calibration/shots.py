@@ -124,9 +124,15 @@ class ShotFolder:
         self._content: dict[str, Any] = {"camera": camera, "board": asdict(spec), "shots": []}
         try:
             path.mkdir(parents=True, exist_ok=True)
-            if (path / LIST).exists():
-                raise ConfigError(f"{path} holds pictures already", f"use them with --views {path}, or name another")
+            # Made by one of two that begin here at once; the other is told.
+            (path / LIST).touch(exist_ok=False)
             self._write()
+        except FileExistsError:
+            if path.is_dir():
+                raise ConfigError(
+                    f"{path} holds pictures already", f"use them with --views {path}, or name another"
+                ) from None
+            raise ConfigError(f"cannot write to {path}: it is a file", "give another folder with --out") from None
         except OSError as error:
             raise ConfigError(f"cannot write to {path}: {error.strerror}", "give another folder with --out") from None
 

@@ -17,7 +17,7 @@ import tyro
 
 from resync_robot import __version__
 from resync_robot.calibrate import CalibrateConfig, calibrate
-from resync_robot.core.errors import ResyncError
+from resync_robot.core.errors import ConfigError, ResyncError
 from resync_robot.deploy import DeployConfig, deploy
 from resync_robot.doctor import DoctorConfig, doctor
 from resync_robot.emulate import EmulateConfig, emulate
@@ -89,6 +89,7 @@ def _run(argv: Sequence[str] | None) -> int:
     verbose = {"-v", "--verbose"} & set(args)
     log_to_stderr(logging.DEBUG if verbose else logging.INFO)
     try:
+        refuse_empty(args)
         # Some settings refuse values as soon as they are read.
         config = tyro.extras.subcommand_cli_from_dict(
             {name: settings for name, (settings, _) in COMMANDS.items()},
@@ -105,6 +106,14 @@ def _run(argv: Sequence[str] | None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def refuse_empty(args: Sequence[str]) -> None:
+    """No setting has an empty value; a path of no letters would be the current folder. Raises ConfigError."""
+    for before, arg in zip(["", *args], args, strict=False):
+        option, equals, value = arg.partition("=") if arg.startswith("--") else (before, "=", arg)
+        if equals and not value.strip():
+            raise ConfigError(f"{option or 'the first word'} is empty", "give it a value, or leave it out")
 
 
 def gather(args: Sequence[str], option: str) -> list[str]:

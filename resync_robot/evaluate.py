@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError, UnknownNameError
-from resync_robot.evaluation_report import EpisodeRow, report, table
+from resync_robot.evaluation_report import EPISODE, EpisodeRow, count_once, report, table
 
 if TYPE_CHECKING:
     from resync_robot.core.library import Library
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
+MOST_EPISODES = 1_000_000
+"""Of a seed. A scene that does not stand still is replaced by the one so many episodes further."""
 METHODS = ("resync", "rc", "initial", "human")
 """This project's, Recovery Chaining, the given model alone, and the right sequence of skills given by a person."""
 
@@ -73,6 +76,9 @@ class EvaluateConfig:
     workers: int = 2
     """Simulation processes."""
 
+    resume: bool = False
+    """Go on with the unfinished evaluation in the --json file: episodes that it holds are not run again."""
+
     json: Path | None = None
     """File for the counts by library and seed, the success rates, every episode, and the provenance. With
     --perception-only: for the errors, and a picture of how honest their covariance is beside it."""
@@ -103,8 +109,9 @@ def evaluate(config: EvaluateConfig) -> None:
       seeds: `domain`, `split`, `scenario` (null where the whole split is meant), `method`, `success_rate`, `ci95`
       ([low, high], Wilson), `n` (episodes), `recoveries_per_episode`.
     - `episodes`, one for each episode that was run: the fields of `EpisodeRow`.
-    - `provenance`: `version` and `git` of the program, `libraries` (content hashes, by index), `perception`, `skills`,
-      `worlds`, `rig` (its hash), `seeds`, and `episodes`, the number for each row.
+    - `provenance`: `version` and `git` of the program, `domain`, `libraries` (content hashes, by index), `perception`,
+      `skills`, `worlds`, `rig` (its hash), `seeds`, `episodes`, the number for each row, and `planned`, the number of
+      all: an evaluation that was interrupted holds fewer, and goes on with `resume`.
 
     Raises:
         ResyncError: bad input, or a library that cannot be used.
@@ -114,65 +121,81 @@ def evaluate(config: EvaluateConfig) -> None:
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import shipped_library
     from resync_robot.progress import Stages, say
-    from resync_robot.run_folder import check_writable, git_hash, write_json
+    from resync_robot.result_file import ResultFile
+    from resync_robot.run_folder import git_hash
     from sim_training.domains import find_domain
     from sim_training.parallel import parallel_map
 
+    if not config.seeds or min(config.seeds) < 0:
+        raise ConfigError(f"--seeds is {config.seeds}", "give one or more whole numbers from 0 on")
+    if config.workers < 1:
+        raise ConfigError(f"--workers is {config.workers}; at least one is needed")
     if config.perception_only:
         from resync_robot.evaluate_perception import evaluate_perception
 
         usual = EvaluateConfig()
-        used = ("perception_only", "scenes", "seeds", "workers", "json", "rig")
+        used = ("perception_only", "scenes", "seeds", "workers", "json", "resume", "rig")
         given = [
             f.name for f in fields(config) if f.name not in used and getattr(config, f.name) != getattr(usual, f.name)
         ]
         if given:
             raise ConfigError(f"--{given[0]} has no meaning with --perception-only", "leave it out")
-        return evaluate_perception(config.scenes, config.seeds, config.workers, config.json, config.rig)
+        return evaluate_perception(config.scenes, config.seeds, config.workers, config.json, config.rig, config.resume)
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
-    if config.episodes < 1:
-        raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
-    if not config.seeds or min(config.seeds) < 0:
-        raise ConfigError(f"--seeds is {config.seeds}", "give one or more whole numbers from 0 on")
-    if config.json:
-        check_writable(config.json)
-    paths = config.library or (shipped_library(domain.name),)
-    libraries = [load_library(path) for path in paths]
-    hashes = [library.content_hash for library in libraries]
+    if not 1 <= config.episodes <= MOST_EPISODES:
+        raise ConfigError(f"--episodes is {config.episodes}; allowed: 1 to {MOST_EPISODES}")
+    seeds = count_once("seed", config.seeds)
+    # By content: the same library under two names is one.
+    found = {path: load_library(path) for path in config.library or (shipped_library(domain.name),)}
+    by_hash = {library.content_hash: path for path, library in reversed(found.items())}
+    hashes = count_once(
+        "the library",
+        [found[path].content_hash for path in config.library or found],
+        lambda content: str(by_hash[content]),
+    )
+    paths = [by_hash[content] for content in hashes]
+    libraries = [found[path] for path in paths]
     skills = _skills(config, domain, libraries)
+    if not methods or not scenarios:
+        raise ConfigError(f"--{'scenarios' if methods else 'methods'} names none", "name one, or leave it out")
     jobs = [
         Job(library, method, scenario, seed, episode)
         for scenario in scenarios
         for method in methods
         for library in range(len(paths))
-        for seed in config.seeds
+        for seed in seeds
         for episode in range(config.episodes)
     ]
-    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, config.worlds, rig)
-    done: list[EpisodeRow] = []
-    with Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
-        for row in parallel_map(_run, jobs, context, config.workers):
-            done.append(row)
-            if not row.success:
-                _log.info("%s on %s, episode %d: %s, %s", row.method, row.scenario, row.episode, row.end, row.reason)
-            wins = sum(r.success for r in done)
-            progress(len(done) / len(jobs), f"{wins} of {len(done)} episodes reached their goal")
-    if config.json:
-        # Before the table, so that it is kept where nobody reads that.
-        provenance = {
+    file = ResultFile(
+        path=config.json,
+        jobs=jobs,
+        rows="episodes",
+        settings={
             "version": __version__,
             "git": git_hash(),
-            "libraries": hashes,
+            "domain": domain.name,
+            "libraries": list(hashes),
             "perception": config.perception,
             "skills": skills,
             "worlds": config.worlds,
             "rig": rig.hash,
-            "seeds": list(config.seeds),
-            "episodes": config.episodes,
-        }
-        write_json(config.json, {"provenance": provenance, **report(done, domain, hashes)})
-    say(table(done, methods, scenarios))
+        },
+        more={"seeds": list(seeds), "episodes": config.episodes},
+        report=lambda rows: report(rows, domain, hashes),
+        parse=_parse,
+    )
+    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, config.worlds, rig)
+    # Written before the table, so that it is kept where nobody reads that.
+    with file.open(config.resume), Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
+        todo = file.todo
+        for job, row in zip(todo, parallel_map(_run, todo, context, config.workers), strict=True):
+            file.add(job, row)
+            if not row.success:
+                _log.info("%s on %s, episode %d: %s, %s", row.method, row.scenario, row.episode, row.end, row.reason)
+            wins, count = sum(r.success for r in file.done.values()), len(file.done)
+            progress(count / len(jobs), f"{wins} of {count} episodes reached their goal")
+    say(table(file.found, methods, scenarios))
 
 
 def _skills(config: EvaluateConfig, domain: Domain, libraries: Sequence[Library]) -> str:
@@ -188,11 +211,11 @@ def _skills(config: EvaluateConfig, domain: Domain, libraries: Sequence[Library]
 
 
 def _methods(given: Sequence[str]) -> tuple[str, ...]:
-    names = tuple(n for g in given for n in g.split(",") if n)
+    names = [n for g in given for n in g.split(",") if n]
     for name in names:
         if name not in METHODS:
             raise UnknownNameError("method", name, METHODS)
-    return names
+    return count_once("method", names)
 
 
 def _scenarios(given: Sequence[str], domain: Domain) -> tuple[str, ...]:
@@ -203,7 +226,14 @@ def _scenarios(given: Sequence[str], domain: Domain) -> tuple[str, ...]:
             names.append(domain.scenario(name).name)
         else:
             names += [s.name for s in domain.scenarios.values() if s.training in wanted]
-    return tuple(dict.fromkeys(names))
+    return count_once("scenario", names)
+
+
+def _parse(entry: Any) -> tuple[Job, EpisodeRow]:
+    """A row of a file that an earlier evaluation left. Raises KeyError, TypeError or ValueError."""
+    check_shape(entry, EPISODE)
+    row = EpisodeRow(**{**entry, "skills_run": tuple(entry["skills_run"])})
+    return Job(row.library, row.method, row.scenario, row.seed, row.episode), row
 
 
 class _Method(Protocol):
@@ -274,7 +304,7 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
     begun = time.monotonic()
     # A scene that does not stand still is not a task; the next one takes its place.
     for attempt in range(20):
-        task = world_task(context.domain, job.scenario, job.seed, job.episode + 1_000_000 * attempt, context.unseen)
+        task = world_task(context.domain, job.scenario, job.seed, job.episode + MOST_EPISODES * attempt, context.unseen)
         world = SimWorld(task, context.rig)
         if is_at_rest(world):
             break

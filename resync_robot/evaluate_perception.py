@@ -5,19 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from resync_robot import __version__
+from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.rig import load_rig
+from resync_robot.evaluation_report import count_once
 from resync_robot.perception_report import draw_reliability, perception_report, perception_table
-from resync_robot.perception_trial import SceneRow, run_scene
+from resync_robot.perception_trial import MOST_SCENES, SCENE, ObjectRow, SceneRow, run_scene
 from resync_robot.progress import Stages, say
-from resync_robot.run_folder import check_writable, git_hash, write_json
+from resync_robot.result_file import ResultFile
+from resync_robot.run_folder import git_hash
 from sim_training.parallel import parallel_map
 
 
 def evaluate_perception(
-    scenes: int, seeds: Sequence[int], workers: int, json: Path | None, rig_file: Path | None = None
+    scenes: int,
+    seeds: Sequence[int],
+    workers: int,
+    json: Path | None,
+    rig_file: Path | None = None,
+    resume: bool = False,
 ) -> None:
     """Scan `scenes` scenes of each seed, write a JSON file and a picture beside it where one is named, print the table.
 
@@ -29,29 +38,35 @@ def evaluate_perception(
     Raises:
         ResyncError: bad input, or no device can render.
     """
-    if scenes < 1:
-        raise ConfigError(f"--scenes is {scenes}; at least one is needed")
-    if not seeds or min(seeds) < 0:
-        raise ConfigError(f"--seeds is {tuple(seeds)}", "give one or more whole numbers from 0 on")
-    rig = load_rig(rig_file)
-    if json:
-        check_writable(json)
+    if not 1 <= scenes <= MOST_SCENES:
+        raise ConfigError(f"--scenes is {scenes}; allowed: 1 to {MOST_SCENES}")
+    rig, seeds = load_rig(rig_file), count_once("seed", seeds)
     jobs = [(seed, scene) for seed in seeds for scene in range(scenes)]
-    done: list[SceneRow] = []
-    with Stages(("scan",)) as bars, bars.stage("scan") as progress:
-        for row in parallel_map(run_scene, jobs, partial(load_rig, rig_file), workers):
-            done.append(row)
-            found = sum(o.found for r in done for o in r.objects) / sum(len(r.objects) for r in done)
-            progress(len(done) / len(jobs), f"{100 * found:.1f} % found")
-    report = perception_report(done)
+    file = ResultFile(
+        path=json,
+        jobs=jobs,
+        rows="rows",
+        settings={"version": __version__, "git": git_hash(), "rig": rig.hash},
+        more={"seeds": list(seeds), "scenes": scenes},
+        report=perception_report,
+        parse=_parse,
+    )
+    with file.open(resume), Stages(("scan",)) as bars, bars.stage("scan") as progress:
+        todo = file.todo
+        for job, row in zip(todo, parallel_map(run_scene, todo, partial(load_rig, rig_file), workers), strict=True):
+            file.add(job, row)
+            rows = file.done.values()
+            found = sum(o.found for r in rows for o in r.objects) / sum(len(r.objects) for r in rows)
+            progress(len(rows) / len(jobs), f"{100 * found:.1f} % found")
+    report = perception_report(file.found)
     if json:
-        provenance = {
-            "version": __version__,
-            "git": git_hash(),
-            "rig": rig.hash,
-            "seeds": list(seeds),
-            "scenes": scenes,
-        }
-        write_json(json, {"provenance": provenance, **report})
         draw_reliability(report, json.with_suffix(".png"))
     say(perception_table(report))
+
+
+def _parse(entry: Any) -> tuple[tuple[int, int], SceneRow]:
+    """A row of a file that an earlier evaluation left. Raises KeyError, TypeError or ValueError."""
+    check_shape(entry, SCENE)
+    objects = tuple(ObjectRow(**o) for o in entry["objects"])
+    row = SceneRow(**{**entry, "objects": objects, "seconds": tuple(entry["seconds"])})
+    return (row.seed, row.scene), row

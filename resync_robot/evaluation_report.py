@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from resync_robot.core.damage import Shape
+
 if TYPE_CHECKING:
     from resync_robot.core.task import Domain
+
+_log = logging.getLogger(__name__)
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -40,6 +45,36 @@ class EpisodeRow:
     planning_s: float
     seconds: float
     skills_run: tuple[str, ...]
+
+
+EPISODE: Shape = {
+    "library": int,
+    "method": str,
+    "scenario": str,
+    "seed": int,
+    "episode": int,
+    "success": bool,
+    "end": str,
+    "reason": str,
+    "skills": int,
+    "planning_s": float,
+    "seconds": float,
+    "skills_run": [str],
+}
+"""An `EpisodeRow` in a file."""
+
+
+def count_once(what: str, values: Sequence[Key], named: Callable[[Key], str] = str) -> tuple[Key, ...]:
+    """The values, each once, in the order in which they first appear; those given more often are told.
+
+    A world that is counted twice makes intervals narrower than what was measured.
+    """
+    once = tuple(dict.fromkeys(values))
+    for value in once:
+        times = values.count(value)
+        if times > 1:
+            _log.warning("%s %s was given %d times and counts once", what, named(value), times)
+    return once
 
 
 def report(episodes: Sequence[EpisodeRow], domain: Domain, library_hashes: Sequence[str]) -> dict[str, Any]:

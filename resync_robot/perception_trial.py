@@ -17,6 +17,7 @@ from perception.objects import SceneEstimate, SceneEstimator
 from perception.pose import yaw_variance_of
 from perception.scan import Scan
 from resync_robot.core import spatial
+from resync_robot.core.damage import Shape
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
@@ -33,6 +34,30 @@ HELD_EVERY = 4
 """In every so many scenes a block goes into the hand and the scan is repeated."""
 FALSE_BEYOND = 0.030
 """m from every block of its colour at which an estimate is one of nothing."""
+
+
+MOST_SCENES = 1_000_000
+"""Of a seed. A scene that does not stand still is replaced by the one so many further."""
+NUMBER: Shape = (float, type(None))
+OBJECT: Shape = {
+    "seed": int,
+    "scene": int,
+    "name": str,
+    "condition": str,
+    "twin": bool,
+    "found": bool,
+    **dict.fromkeys(("position_mm", "yaw_deg", "width_mm", "height_mm", "place_distance", "yaw_distance"), NUMBER),
+}
+SCENE: Shape = {
+    "seed": int,
+    "scene": int,
+    "objects": [OBJECT],
+    "false": int,
+    "views": int,
+    "seconds": [float],
+    "complaint": str,
+}
+"""An `ObjectRow` and a `SceneRow` in a file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +111,7 @@ def run_scene(rig: Rig, number: tuple[int, int]) -> SceneRow:
     seed, index = number
     # A scene that does not stand still has no truth to compare with; the next one takes its place.
     for attempt in range(20):
-        drawn = draw_scene(seed, index + 1_000_000 * attempt)
+        drawn = draw_scene(seed, index + MOST_SCENES * attempt)
         world = SimWorld(drawn.task, rig, rendered=True)
         if is_at_rest(world):
             break

@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from resync_robot.core.damage import AGAIN, check_folder_kind, check_shape, reading
+from resync_robot.core.damage import AGAIN, Shape, check_folder_kind, check_shape, reading
 from resync_robot.core.errors import ConfigError, ResyncError
 from resync_robot.core.files import write_bytes
 from resync_robot.core.rig import Rig, load_rig
@@ -24,8 +24,8 @@ FOLDERS = ("stages", "library", "dataset")
 """What lies in a run folder."""
 LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
 """Name of a file that a killed process was writing (`core.files.whole`)."""
-LIST = [float]
-FIGURES = {
+LIST: Shape = [float]
+FIGURES: dict[str, Shape] = {
     "mine": {"tasks": int, "failed": int, "kept": int},
     "recovery": {"curve": {"steps": LIST, "success": LIST, "return": LIST, "seconds": LIST}, "steps": float},
     "check": {"worlds": int, "picked": int},

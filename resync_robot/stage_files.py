@@ -12,7 +12,7 @@ from typing import Any
 from safetensors.numpy import load_file
 
 from policies.neural import recovery_nets
-from resync_robot.core.damage import check_shape, reading
+from resync_robot.core.damage import Shape, check_shape, reading
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.library import Record
 from resync_robot.core.symbols import Object
@@ -23,8 +23,8 @@ from resync_robot.learning.terminals import Terminal
 from resync_robot.run_folder import read_json
 from sim_training.mine import resample_failure
 
-GAUSSIAN = {"mean": [float], "covariance": [[float]]}
-MINED = {
+GAUSSIAN: Shape = {"mean": [float], "covariance": [[float]]}
+MINED: Shape = {
     "skill": str,
     "failure_object": str,
     "failure_object_type": str,
@@ -36,7 +36,7 @@ MINED = {
     "scenario": str,
 }
 """The fields of failures.json."""
-LEARNED = {
+LEARNED: Shape = {
     "policy": dict,
     "terminal": dict,
     "failed": dict,

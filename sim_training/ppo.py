@@ -345,11 +345,9 @@ def _load(
                 _, i, name = key.split(".")
                 state.setdefault(int(i), {})[name] = value
         # torch takes an optimiser's state of any shape, and fails later.
-        for i, parameter in enumerate(net.parameters()):
-            if state and state[i]["exp_avg"].shape != parameter.shape:
-                raise ValueError(
-                    f"the optimiser's state of parameter {i} is of shape {tuple(state[i]['exp_avg'].shape)}"
-                )
+        for number, parameter in enumerate(net.parameters()):
+            if state and state[number]["exp_avg"].shape != parameter.shape:
+                raise ValueError(f"the optimiser's state of parameter {number} is of another shape")
         if state:
             optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
         for key in curve:

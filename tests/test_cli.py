@@ -103,6 +103,25 @@ def test_what_cannot_be_parsed_is_one_message_and_code_2(
     assert shown.out == ""
 
 
+@pytest.mark.parametrize(
+    ("args", "option"),
+    [
+        (("train-sim", "--out", ""), "--out"),
+        (("train-sim", "--out="), "--out"),
+        (("train-sim", "--out", " "), "--out"),
+        (("deploy", "--rig", "", "--dry-run"), "--rig"),
+        (("evaluate", "--json", ""), "--json"),
+        (("evaluate", "--library", ""), "--library"),
+        (("review", ""), "review"),
+    ],
+)
+def test_an_empty_value_is_not_the_current_folder(
+    args: tuple[str, ...], option: str, given, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert exit_code(*args) == 2
+    assert f"error: {option} is empty" in capsys.readouterr().err
+
+
 def test_an_error_of_ours_is_one_message_and_code_2(given, capsys: pytest.CaptureFixture[str]) -> None:
     given("doctor", ConfigError("the rig is on fire", "put it out"))
     assert exit_code("doctor") == 2

@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +21,9 @@ from hypothesis import strategies as st
 from resync_robot import __version__, cli, evaluate
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.library import save_library
+from resync_robot.core.lock import sole_writer
+from resync_robot.evaluate import Job
+from resync_robot.evaluation_report import EpisodeRow, wilson
 from resync_robot.planning.execute import ExecuteSettings
 from sim_training.domains import find_domain, world_task
 from tests.libraries import DOMAIN, given_library
@@ -74,6 +85,23 @@ def test_unseen_worlds_lie_outside_the_edges_of_training() -> None:
         assert again.initial == task.initial and again.physics == task.physics
 
 
+def pretended(run: object, jobs: Sequence[Job], context: object, workers: int) -> Iterator[EpisodeRow]:
+    """Rows of episodes that nobody ran; each says by its reason when it was made."""
+    for number, job in enumerate(jobs):
+        yield EpisodeRow(
+            **vars(job), success=job.episode % 2 == 0, end="goal" if job.episode % 2 == 0 else "stuck",
+            reason=f"the {number}th", skills=1, planning_s=0.1, seconds=1.0, skills_run=("Pick(r, b0)",),
+        )  # fmt: skip
+
+
+def interrupted_after(count: int) -> Callable[..., Iterator[EpisodeRow]]:
+    def run(*args: Any) -> Iterator[EpisodeRow]:
+        yield from islice(pretended(*args), count)
+        raise KeyboardInterrupt
+
+    return run
+
+
 # -- the command ------------------------------------------------------------------------------------------------------
 
 
@@ -90,6 +118,12 @@ def library(tmp_path: Path) -> Path:
         (("--scenarios", "s9"), "'s9'"),
         (("--methods", "magic"), "unknown method 'magic'"),
         (("--episodes", "0"), "--episodes is 0"),
+        (("--episodes", "1000001"), "--episodes is 1000001; allowed: 1 to 1000000"),
+        (("--workers", "0"), "--workers is 0"),
+        (("--workers", "-1"), "--workers is -1"),
+        (("--methods", ","), "--methods names none"),
+        (("--resume",), "--resume needs the file to go on with"),
+        (("--resume", "--json", "nowhere.json"), "there is no nowhere.json to go on with"),
         (("--seeds", "0", "-3"), "--seeds is (0, -3)"),
         (("--library", "/nowhere"), "no library folder /nowhere"),
         (("--json", "/dev/null/rows.json"), "cannot write /dev/null/rows.json"),
@@ -98,8 +132,14 @@ def library(tmp_path: Path) -> Path:
     ],
 )
 def test_bad_input_is_one_error_with_code_2(
-    args: tuple[str, ...], word: str, library: Path, capsys: pytest.CaptureFixture[str]
+    args: tuple[str, ...],
+    word: str,
+    library: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     given = () if "--library" in args else ("--library", str(library))
     assert cli.main(["evaluate", *given, *args]) == 2
     shown = capsys.readouterr()
@@ -151,7 +191,7 @@ def test_a_library_of_another_domain_or_without_recovery_is_refused(
     save_library(replace(given_library(), skills={}), tmp_path / "lacking")
     for name, word in (("other", "learned in 'kitchen'"), ("lacking", "no skill 'Recover'")):
         for command in ("evaluate", "deploy"):
-            extra = ("--workers", "0") if command == "evaluate" else ()
+            extra = ("--workers", "1") if command == "evaluate" else ()
             assert cli.main([command, "--library", str(tmp_path / name), *extra]) == 2
             assert f"error: the library {'was' if name == 'other' else 'holds'}" in (
                 shown := capsys.readouterr().err.splitlines()[-2]
@@ -164,7 +204,7 @@ def test_episodes_are_run_counted_and_written(
 ) -> None:
     file = tmp_path / "deep" / "rows.json"
     args = ["--library", str(library), "--methods", "initial", "--scenarios", "s0", "--episodes", "2"]
-    assert cli.main(["evaluate", *args, "--workers", "0", "--json", str(file)]) == 0
+    assert cli.main(["evaluate", *args, "--workers", "1", "--json", str(file)]) == 0
     # The given model alone is stuck in the corner, by physics.
     assert "| initial | 0.00 [0.00, 0.66] of 2 |" in capsys.readouterr().out
     written = json.loads(file.read_text())
@@ -187,7 +227,7 @@ def test_episodes_are_run_counted_and_written(
 
 def test_with_the_right_sequence_given_the_shipped_skills_reach_the_goal(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
-    args = ["--methods", "human", "--scenarios", "s0,s1", "--episodes", "1", "--workers", "0", "--json", str(file)]
+    args = ["--methods", "human", "--scenarios", "s0,s1", "--episodes", "1", "--workers", "1", "--json", str(file)]
     assert cli.main(["evaluate", *args]) == 0
     written = json.loads(file.read_text())
     assert [(e["scenario"], e["success"], e["skills_run"]) for e in written["episodes"]] == [
@@ -202,8 +242,223 @@ def test_the_table_is_lost_before_the_file_is(library: Path, tmp_path: Path, mon
         raise BrokenPipeError
 
     monkeypatch.setattr("resync_robot.progress.say", nobody_reads)
-    monkeypatch.setattr("sim_training.parallel.parallel_map", lambda run, jobs, context, workers: [])
-    monkeypatch.setattr(evaluate, "table", lambda *_: "")
+    monkeypatch.setattr("sim_training.parallel.parallel_map", pretended)
     with pytest.raises(BrokenPipeError):
         evaluate.evaluate(evaluate.EvaluateConfig(library=(library,), json=tmp_path / "rows.json"))
-    assert json.loads((tmp_path / "rows.json").read_text())["rows"] == []
+    assert len(json.loads((tmp_path / "rows.json").read_text())["episodes"]) == 70
+
+
+# -- every world counts once ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch, library: Path) -> Callable[..., int]:
+    """`evaluate` with a library and episodes that cost nothing."""
+    monkeypatch.setattr("sim_training.parallel.parallel_map", pretended)
+    return lambda *args: cli.main(["evaluate", "--library", str(library), *map(str, args)])
+
+
+@pytest.mark.parametrize(
+    ("args", "note"),
+    [
+        (("--seeds", "5", "5", "5"), "seed 5 was given 3 times and counts once"),
+        (("--methods", "resync", "resync"), "method resync was given 2 times"),
+        (("--methods", "resync,resync"), "method resync was given 2 times"),
+        (("--scenarios", "s0", "s0"), "scenario s0 was given 2 times"),
+        (("--library", "{again}"), "was given 2 times"),
+        (("--library", "{copy}"), "was given 2 times"),
+    ],
+)
+def test_what_is_named_twice_counts_once(
+    args: tuple[str, ...],
+    note: str,
+    quick: Callable[..., int],
+    library: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    shutil.copytree(library, tmp_path / "copy")
+    named = [a.format(again=library, copy=tmp_path / "copy") for a in args]
+    scenarios = () if "--scenarios" in named else ("--scenarios", "s0")
+    assert quick("--episodes", "2", *scenarios, *named, "--json", tmp_path / "rows.json") == 0
+    low, high = wilson(1, 2)
+    assert f"| resync | 0.50 [{low:.2f}, {high:.2f}] of 2 |" in (shown := capsys.readouterr().out)
+    assert shown.count("| resync |") == 1
+    assert note in caplog.text
+    written = json.loads((tmp_path / "rows.json").read_text())
+    assert len(written["episodes"]) == written["provenance"]["planned"] == 2
+    assert [row["episodes"] for row in written["rows"]] == [2]
+    assert len(written["provenance"]["libraries"]) == 1
+
+
+def test_worlds_of_different_seeds_are_different_worlds() -> None:
+    """So ranges of episodes never overlap, however many of one seed there are."""
+    seen = [features(world_task(CORNERED, "s0", s, e)).tobytes() for s in range(4) for e in (0, 1, 2, 1_000_000)]
+    assert len(set(seen)) == len(seen)
+
+
+# -- an evaluation that is interrupted, and goes on -------------------------------------------------------------------
+
+
+def without_times(file: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(file.read_text())
+    for episode in content["episodes"]:
+        episode.update(planning_s=0, seconds=0, reason="")
+    for row in content["rows"]:
+        row.update(failure_reasons={})
+    return content
+
+
+def test_what_was_finished_is_kept_named_and_gone_on_with(
+    quick: Callable[..., int],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    args = ("--scenarios", "s0", "s1", "--seeds", "3", "4", "--episodes", "3", "--json")
+    file = tmp_path / "rows.json"
+    monkeypatch.setattr("sim_training.parallel.parallel_map", interrupted_after(5))
+    assert quick(*args, file) == 130
+    assert f"5 of 12 are finished and kept in {file}; go on with: --resume --json {file}" in caplog.text
+    assert "| resync |" not in capsys.readouterr().out, "no table of some of them"
+    assert len(json.loads(file.read_text())["episodes"]) == 5
+    monkeypatch.setattr("sim_training.parallel.parallel_map", pretended)
+    assert quick(*args, file) == 2
+    assert "holds an unfinished evaluation (5 of 12)" in capsys.readouterr().err
+    assert quick(*args, file, "--resume") == 0
+    assert "of 6 |" in capsys.readouterr().out
+    reasons = [e["reason"] for e in json.loads(file.read_text())["episodes"]]
+    assert reasons == [f"the {i}th" for i in (*range(5), *range(7))], "the first five were not run again"
+    assert quick(*args, tmp_path / "whole.json") == 0
+    assert without_times(file) == without_times(tmp_path / "whole.json")
+
+
+def test_a_finished_evaluation_is_shown_again_and_can_be_added_to(
+    quick: Callable[..., int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = ("--scenarios", "s0", "--json", tmp_path / "rows.json", "--episodes")
+    assert quick(*args, 2) == 0
+    first = capsys.readouterr().out
+    monkeypatch.setattr("sim_training.parallel.parallel_map", lambda run, jobs, *_: pytest.fail() if jobs else ())
+    assert quick(*args, 2, "--resume") == 0
+    assert capsys.readouterr().out == first
+    monkeypatch.setattr("sim_training.parallel.parallel_map", pretended)
+    assert quick(*args, 4, "--resume") == 0
+    assert "of 4 |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        (("--worlds", "unseen"), "was made with worlds 'usual', this is 'unseen'"),
+        (("--perception", "camera"), "was made with perception 'oracle', this is 'camera'"),
+        (("--library", "{other}"), "was made with libraries"),
+        (("--episodes", "1"), "holds what this command does not ask for: Job(library=0, method='resync'"),
+        (("--methods", "rc"), "holds what this command does not ask for"),
+        (("--seeds", "7"), "holds what this command does not ask for"),
+    ],
+)
+def test_results_of_other_settings_are_never_mixed(
+    args: tuple[str, ...], word: str, quick: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from dataclasses import replace
+
+    save_library(replace(given_library(), gaussians={"other": 1}), tmp_path / "other")
+    file = tmp_path / "rows.json"
+    assert quick("--scenarios", "s0", "--episodes", "2", "--json", file) == 0
+    before = file.read_bytes()
+    named = [a.format(other=tmp_path / "other") for a in args]
+    usual = () if "--episodes" in args else ("--episodes", "2")
+    assert quick("--scenarios", "s0", *usual, "--json", file, "--resume", *named) == 2
+    error = capsys.readouterr().err
+    assert word in error and "--json" in error
+    assert file.read_bytes() == before
+
+
+def test_results_of_another_commit_are_never_mixed(
+    quick: Callable[..., int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = ("--scenarios", "s0", "--episodes", "2", "--json", tmp_path / "rows.json")
+    monkeypatch.setattr("resync_robot.run_folder.git_hash", lambda: "aaaaaaaaaaaa")
+    assert quick(*args) == 0
+    monkeypatch.setattr("resync_robot.run_folder.git_hash", lambda: "bbbbbbbbbbbb")
+    assert quick(*args, "--resume") == 2
+    assert "was made with git 'aaaaaaaaaaaa', this is 'bbbbbbbbbbbb'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "content", ["{}", "[]", "null", '{"torn": ', '{"provenance": {}, "episodes": [{}]}', '{"provenance": 3}', ""]
+)
+def test_a_file_that_is_no_evaluation_is_not_gone_on_with(
+    content: str, quick: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "rows.json"
+    file.write_text(content)
+    assert quick("--scenarios", "s0", "--json", file, "--resume") == 2
+    shown = capsys.readouterr().err
+    assert str(file) in shown and "  -> " in shown and "Traceback" not in shown
+    assert file.read_text() == content
+
+
+def test_a_damaged_row_is_named(quick: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "rows.json"
+    args = ("--scenarios", "s0", "--episodes", "2", "--json", file)
+    assert quick(*args) == 0
+    content = json.loads(file.read_text())
+    content["episodes"][1]["seconds"] = "long"
+    file.write_text(json.dumps(content))
+    assert quick(*args, "--resume") == 2
+    assert "'seconds' is 'long', and should be of type float" in capsys.readouterr().err
+
+
+def test_a_file_is_written_by_one_evaluation_at_a_time(
+    quick: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "rows.json"
+    with sole_writer(tmp_path / ".rows.json.lock", file, ""):
+        assert quick("--scenarios", "s0", "--json", file) == 2
+        assert f"{file} is being written by process {os.getpid()}" in capsys.readouterr().err
+        assert not file.exists()
+    assert quick("--scenarios", "s0", "--json", file) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["library", "rows.json"]
+
+
+def test_the_file_is_written_now_and_then(
+    quick: Callable[..., int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "rows.json"
+    counts: list[int] = []
+
+    def watched(*args: Any) -> Iterator[EpisodeRow]:
+        for row in pretended(*args):
+            yield row
+            counts.append(len(json.loads(file.read_text())["episodes"]) if file.exists() else 0)
+
+    monkeypatch.setattr("resync_robot.result_file.KEEP_EVERY_S", 0.0)
+    monkeypatch.setattr("sim_training.parallel.parallel_map", watched)
+    assert quick("--scenarios", "s0", "--episodes", "3", "--json", file) == 0
+    assert counts == [1, 2, 3]
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_what_was_finished(library: Path, tmp_path: Path) -> None:
+    """With real worker processes, and the signal to all of them, as a terminal sends it."""
+    file = tmp_path / "rows.json"
+    command = [
+        *(sys.executable, "-m", "resync_robot", "evaluate", "--library", str(library), "--methods", "initial"),
+        *("--scenarios", "s0", "--episodes", "400", "--json", str(file)),
+    ]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    assert run.stderr is not None
+    for line in run.stderr:
+        if line.startswith("evaluate:"):
+            break
+    time.sleep(10)
+    os.killpg(run.pid, 2)
+    shown = run.stderr.read()
+    assert run.wait(60) == 130
+    finished = json.loads(file.read_text())["episodes"]
+    assert 0 < len(finished) < 400
+    assert f"{len(finished)} of 400 are finished and kept in {file}" in shown and "Traceback" not in shown

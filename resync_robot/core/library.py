@@ -28,6 +28,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
+from resync_robot.core.damage import PULL, is_pointer
 from resync_robot.core.errors import LibraryError
 
 VERSION = 2
@@ -125,7 +126,7 @@ def load_library(folder: Path) -> Library:
             raise LibraryError(f"{folder / 'library.json'} lists a file outside the library: {name!r}", RETRAIN)
         data = _read(folder, name)
         if hashlib.sha256(data).hexdigest() != digest:
-            raise LibraryError(f"{folder / name} was truncated or altered since it was saved", RETRAIN)
+            raise _altered(folder / name, data, digest)
         contents[name] = data
     try:
         domain, rig_hash = str(manifest["domain"]), str(manifest["rig_hash"])
@@ -142,6 +143,16 @@ def load_library(folder: Path) -> Library:
         execution=_parse(folder, "execution.json", contents["execution.json"]),
         policies=_policies(contents),
     )
+
+
+def _altered(path: Path, data: bytes, digest: str) -> LibraryError:
+    """What became of a file that hashes to something else than `digest`."""
+    if hashlib.sha256(data.replace(b"\r\n", b"\n")).hexdigest() == digest:
+        return LibraryError(
+            f"the line ends of {path} were changed (CR LF for LF), as git does with core.autocrlf",
+            f"write '{path.name} -text' into a .gitattributes beside it, remove the file, and: git checkout -- {path}",
+        )
+    return LibraryError(f"{path} was truncated or altered since it was saved", f"copy it here anew, or {RETRAIN}")
 
 
 def _files(library: Library) -> dict[str, bytes]:
@@ -198,9 +209,12 @@ def _parse(folder: Path, name: str, data: bytes) -> Any:
 
 def _read(folder: Path, name: str) -> bytes:
     try:
-        return (folder / name).read_bytes()
+        data = (folder / name).read_bytes()
     except OSError as error:
         raise LibraryError(f"cannot read {folder / name}: {error.strerror}", RETRAIN) from None
+    if is_pointer(data):
+        raise LibraryError(f"{folder / name} is a Git LFS pointer and not the file itself", PULL)
+    return data
 
 
 def _read_json(folder: Path, name: str) -> Any:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from resync_robot.core.damage import check_shape, reading
+from resync_robot.core.damage import Shape, check_shape, reading
 from resync_robot.core.errors import ResyncError
 from resync_robot.core.files import read_text, whole
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, Object, Predicate, Type
 
-STEP = {"skill": str, "objects": [str], "succeeded": bool, "before": dict, "after": dict}
-LINE = {"goal": [[str]], "solved": bool, "source": str, "transitions": [STEP]}
+STEP: Shape = {"skill": str, "objects": [str], "succeeded": bool, "before": dict, "after": dict}
+LINE: Shape = {"goal": [[str]], "solved": bool, "source": str, "transitions": [STEP]}
 """The fields of a trajectory in a file."""
 
 

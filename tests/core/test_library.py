@@ -1,6 +1,7 @@
 """A library comes back as it was saved; any other folder is refused, and nothing in it can run."""
 
 import json
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -112,6 +113,40 @@ def test_an_altered_file_is_named(folder: Path, name: str) -> None:
     data[len(data) // 2] ^= 1
     path.write_bytes(bytes(data))
     refused(folder, name, "truncated or altered")
+
+
+@pytest.mark.parametrize("name", [*files(), "library.json"])
+def test_a_git_lfs_pointer_is_no_reason_to_train_anew(folder: Path, name: str) -> None:
+    (folder / name).write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n")
+    with pytest.raises(LibraryError, match="is a Git LFS pointer") as caught:
+        load_library(folder)
+    assert str(folder / name) in caught.value.what
+    assert "git lfs pull" in caught.value.fix and "train-sim" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", [n for n in files() if n.endswith((".json", ".pddl"))])
+def test_line_ends_that_git_changed_are_no_reason_to_train_anew(folder: Path, name: str) -> None:
+    path = folder / name
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    with pytest.raises(LibraryError, match="the line ends of") as caught:
+        load_library(folder)
+    assert str(path) in caught.value.what and "core.autocrlf" in caught.value.what
+    assert ".gitattributes" in caught.value.fix and "train-sim" not in str(caught.value)
+
+
+def test_a_manifest_with_other_line_ends_is_the_same_manifest(folder: Path) -> None:
+    path = folder / "library.json"
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    load_library(folder)
+
+
+def test_git_never_changes_the_line_ends_of_the_shipped_library(tmp_path: Path) -> None:
+    root = Path(__file__).parents[2]
+    asked = ["git", "check-attr", "text", "--", "resync_robot/shipped/cornered-insertion-s/domain.pddl"]
+    answer = subprocess.run(asked, cwd=root, capture_output=True, text=True)
+    if answer.returncode:
+        pytest.skip("no checkout")
+    assert answer.stdout.strip().endswith("text: unset")
 
 
 def alter_manifest(folder: Path, **values: object) -> None:
