@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -9,6 +12,8 @@ import numpy as np
 import pytest
 
 from policies.camera_recovery import MonitorSettings, Stopped, Watch
+from resync_robot.core.damage import AGAIN
+from resync_robot.core.errors import TrainingError
 from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.distil import DistilPlan, distil, to_keep
@@ -19,6 +24,8 @@ from resync_robot.run_folder import RunFolder
 from sim_training.demos.recoveries import RenderedRecovery
 from sim_training.demos.starts import draw_start
 from sim_training.domains import find_domain
+from tests.run_folders import DAMAGES, copy_of, files_of
+from tests.test_resume import ReachedError
 
 TINY = DistilPlan(worlds=16, rounds=1, round_worlds=16, steps=6, round_steps=3, trials=4, batch=8)
 
@@ -48,6 +55,67 @@ def test_it_leaves_a_policy_a_dataset_and_pictures_and_does_nothing_twice(tmp_pa
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "stages").rglob("*") if p.is_file()}
     assert run(tmp_path) == files
     assert {p: p.stat().st_mtime_ns for p in before} == before
+
+
+@pytest.mark.slow
+def test_a_damaged_file_of_this_stage_is_one_message_and_can_be_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every file that it left, in every way; what is read only while it trains, with the last candidate removed."""
+    run(tmp_path / "run")
+    last = f"student-{TINY.steps + TINY.round_steps:06d}"
+    drawn = {"dataset", "demonstrations.png", "distil.png"}
+    names = [n for n in files_of(tmp_path / "run") if n.parts[0] not in drawn]
+    shards = {n.parts[2] for n in names if n.parts[1] == "demonstrations"}
+    assert {n.parts[1] for n in names if n.parts[0] == "stages"} == {
+        *("demonstrations", "distil.csv", "distil.json", "distil.safetensors", f"student-{TINY.steps:06d}", last),
+    }
+    assert len(shards) == 2
+
+    def begin(*_: object, **__: object) -> None:
+        raise ReachedError
+
+    def work_on(function: object, items: Sequence[object], *_: object) -> Iterator[None]:
+        for _item in items:
+            raise ReachedError
+        yield from ()
+
+    monkeypatch.setattr("resync_robot.distil.parallel_map", work_on)
+    monkeypatch.setattr("policies.training.Trainer.run", begin)
+    monkeypatch.setattr("sim_training.demos.dataset.merge_shards", lambda *_: None)
+    passed = []
+    for name in names:
+        # Files of one kind are damaged alike; the other shard and the other student are read in the same way.
+        if name.parts[1] == f"student-{TINY.steps:06d}" or name.parts[1:3] == ("demonstrations", "turn-1-0000"):
+            continue
+        for how, spoil in DAMAGES.items():
+            if how == "unreadable" and os.geteuid() == 0:
+                continue
+            folder = copy_of(tmp_path / "run", tmp_path / "copy")
+            while_training = name.name == "distil.safetensors" or "demonstrations" in name.parts
+            if while_training:
+                shutil.rmtree(folder / "stages" / last)
+            before = (folder / name).read_bytes()
+            spoil(folder / name)
+            if not (folder / name).is_file() or (folder / name).read_bytes() != before:
+                with pytest.raises(Exception) as caught:
+                    run(folder)
+                if isinstance(caught.value, ReachedError):
+                    passed.append((str(name), how))
+                else:
+                    assert isinstance(caught.value, TrainingError), (name, how, caught.value)
+                    assert caught.value.fix.endswith(AGAIN)
+                    named = next(p for p in (name, *name.parents) if str(folder / p) in caught.value.what)
+                    assert len(named.parts) > 1, "the file, or the folder that is one thing"
+                    # The advice holds.
+                    path = folder / named
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+                    try:
+                        run(folder)
+                    except ReachedError:
+                        pass
+            shutil.rmtree(folder)
+    assert passed == []
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.board import BoardSpec
 from calibration.detect import BoardDetector, Rejected, Sighting
 from calibration.shots import LIST, Judge, Shot, ShotFolder, read_shots, take, usable
 from resync_robot.core.errors import CalibrationError, ConfigError
@@ -79,7 +78,7 @@ def test_the_list_is_whole_after_every_shot(tmp_path: Path) -> None:
 def test_pictures_are_never_overwritten(tmp_path: Path) -> None:
     kept(tmp_path)
     with pytest.raises(ConfigError, match="holds pictures already"):
-        ShotFolder(tmp_path, "wrist", BoardSpec())
+        ShotFolder(tmp_path, "wrist", SPEC)
     assert len(read_shots(tmp_path, "wrist", judge())) == 2
 
 
@@ -109,6 +108,14 @@ def broken(path: Path, **change: object) -> str:
         ({"file": "../../outside.png"}, "missing or no picture"),
     ],
 )
+def test_of_two_that_begin_in_one_folder_at_once_one_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between its look and its first write the other has begun: only the system can tell them apart."""
+    monkeypatch.setattr(Path, "exists", lambda path: False)
+    ShotFolder(tmp_path, "wrist", SPEC)
+    with pytest.raises(ConfigError, match="holds pictures already"):
+        ShotFolder(tmp_path, "wrist", SPEC)
+
+
 def test_a_broken_list_is_one_error(change: dict, word: str, tmp_path: Path) -> None:
     kept(tmp_path / "a" / "views")
     (tmp_path / "outside.png").write_bytes((tmp_path / "a" / "views" / "wrist-000.png").read_bytes())

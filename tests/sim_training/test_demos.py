@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from perception.cutout import cut_out
 from resync_robot.core import spatial
+from resync_robot.core.damage import AGAIN
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.rig import load_rig
 from resync_robot.learning.camera_view import (
@@ -36,6 +38,7 @@ from sim_training.domains import find_domain
 from sim_training.recovery import RecoverySettings
 from sim_training.world import SimWorld
 from tests import scenes
+from tests.run_folders import DAMAGES
 
 RIG = load_rig()
 DOMAIN = find_domain("cornered-insertion-s")
@@ -294,8 +297,6 @@ def test_a_shard_opens_in_stock_lerobot_and_shards_merge_into_one(shard: Path, t
 
 @pytest.mark.parametrize("damage", ["version", "stamp", "video"])
 def test_a_broken_shard_is_named(shard: Path, tmp_path: Path, damage: str) -> None:
-    import shutil
-
     folder = tmp_path / "broken"
     shutil.copytree(shard, folder)
     if damage == "version":
@@ -306,6 +307,23 @@ def test_a_broken_shard_is_named(shard: Path, tmp_path: Path, damage: str) -> No
         next((folder / "videos").rglob("*.mp4")).unlink()
     with pytest.raises(TrainingError, match="broken"):
         dataset.read_shards([folder])
+
+
+def test_any_damage_to_any_file_of_a_shard_is_named(shard: Path, tmp_path: Path) -> None:
+    names = sorted(p.relative_to(shard) for p in shard.rglob("*") if p.is_file())
+    assert len(names) > 8
+    for name in names:
+        for how, spoil in DAMAGES.items():
+            folder = tmp_path / "broken"
+            shutil.copytree(shard, folder)
+            spoil(folder / name)
+            same = (folder / name).is_file() and (folder / name).read_bytes() == (shard / name).read_bytes()
+            for read in (dataset.read_shards, lambda shards: dataset.merge_shards(shards, tmp_path / "whole")):
+                if not same:
+                    with pytest.raises(TrainingError, match=str(folder)) as caught:
+                        read([folder])
+                    assert caught.value.fix.endswith(AGAIN), (name, how)
+            shutil.rmtree(folder)
 
 
 def test_no_success_at_all_is_an_error_that_says_so(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from resync_robot.core.errors import TrainingError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.task import Task
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, PROJECTED_SIZE, ActorCritic
@@ -93,7 +94,28 @@ def test_the_checkpoint_keeps_the_optimiser(tmp_path: Path) -> None:
     assert {"net.mean", "net.actor.0.weight", "net.critic.0.weight", "curve.steps", "adam.0.exp_avg"} <= set(saved)
     updates = 3 * TINY.epochs * TINY.scenes * TINY.steps // TINY.minibatch
     assert float(saved["adam.0.step"]) == updates
-    assert not path.with_suffix(".part").exists()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "word"),
+    [
+        ("net.actor.0.weight", (3, 3), "size mismatch"),
+        ("adam.0.exp_avg", (3, 3), "parameter 0 is of another shape"),
+        ("curve.success", (1,), "parts of different lengths"),
+    ],
+)
+def test_a_checkpoint_of_another_training_is_named(
+    tmp_path: Path, name: str, shape: tuple[int, ...], word: str
+) -> None:
+    from safetensors.torch import load_file, save_file
+
+    path = tmp_path / "ppo.safetensors"
+    run(path)
+    save_file({**load_file(path), name: torch.zeros(shape)}, path)
+    with pytest.raises(TrainingError, match=r"ppo\.safetensors cannot be used") as caught:
+        run(path)
+    assert word in caught.value.what
 
 
 @pytest.mark.slow
