@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -78,7 +81,7 @@ def check_damage(folder: Path, name: str, how: str, again: Callable[[], object],
     before = path.read_bytes()
     DAMAGES[how](path)
     if path.is_file() and how != "unreadable" and path.read_bytes() == before:
-        pytest.skip("nothing to lose")
+        return  # Nothing was lost.
     assert again() == 2
     shown = capsys.readouterr().err
     error = shown[shown.index("error: ") :]
@@ -108,6 +111,30 @@ def test_a_damaged_stage_file_is_one_message_and_can_be_removed(
     if name == "metrics.json" and how in ("an empty object",):
         pytest.skip("a run without figures, as after its removal")
     check_damage(folder, name, how, lambda: resume(folder), capsys)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("idle")
+def test_the_files_of_a_real_run_are_these_and_so_is_their_damage(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    real = tmp_path / "real"
+    command = ["train-sim", "--preset", "smoke", "--skills", "state", "--out", str(real)]
+    assert subprocess.run([sys.executable, "-m", "resync_robot", *command], stderr=subprocess.DEVNULL).returncode == 0
+    names = {str(n) for n in files_of(real) if n.parts[0] != "library"}
+    assert names == {"config.json", "recovery.png", *STAGE_FILES}
+    # Made anew whatever becomes of them.
+    (real / "recovery.png").write_bytes(b"")
+    (real / "library" / "library.json").unlink()
+    for name in STAGE_FILES:
+        for how in DAMAGES:
+            if (how == "unreadable" and os.geteuid() == 0) or (name, how) == ("metrics.json", "an empty object"):
+                continue
+            folder = copy_of(real, tmp_path / "copy")
+            if name == "stages/ppo.safetensors":
+                (folder / "stages" / "recovery.json").unlink()
+            check_damage(folder, name, how, partial(resume, folder), capsys)
+            shutil.rmtree(folder)
 
 
 @pytest.mark.usefixtures("idle")
