@@ -114,7 +114,8 @@ class Listener:
 
 @dataclass(frozen=True, kw_only=True)
 class ExecuteSettings:
-    max_skills: int = 16
+    max_skills: int = 24
+    """One more try with a block that had to be put down takes four."""
     max_failures: int = 5
     """Failures of one ground skill after which the episode is given up. A skill that breaks off in time often leaves
     things better than they were, and the next attempt begins from there."""
