@@ -6,6 +6,7 @@ from collections.abc import Generator
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import MotionError
@@ -89,6 +90,18 @@ class Hand:
         tip = spatial.transform(self.rotation(self.yaw), self.position)
         self._q = kinematics.inverse_along(self._base_T_world @ tip @ self._tip_T_flange, self._q, self._branch)
         return JointTarget(self._q, self.opening)
+
+    def reaches(self, tips: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+        """Whether the arm can put the tip to each of these positions, m, without another heading or another elbow; in
+        the workspace, where the rig has one."""
+        poses = np.broadcast_to(spatial.transform(self.rotation(self.yaw), np.zeros(3)), (len(tips), 4, 4)).copy()
+        poses[:, :3, 3] = tips
+        with np.errstate(invalid="ignore"):
+            q = kinematics.inverse_branch(self._base_T_world @ poses @ self._tip_T_flange, self._branch)
+        reached = np.isfinite(q).all(-1)
+        if (controller := self.rig.controller) is not None:
+            reached &= np.all((tips > controller.workspace_low) & (tips < controller.workspace_high), axis=1)
+        return np.asarray(reached)
 
     def move(self, x: float, y: float, z: float, yaw: float, speed: float, max_force: float = np.inf) -> Step:
         """Straight to a tip pose with smooth ends; returns when the tip has arrived.

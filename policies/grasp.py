@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from resync_robot.core import spatial
 from resync_robot.core.rig import GripperRig
@@ -16,6 +17,8 @@ ENOUGH = 0.010
 """Clearance in m beyond which more of it is worth no extra turn of the wrist."""
 SPARE = 0.002
 """m that a finger must keep from what it goes down beside: poses are known no better."""
+SEATED = 0.015
+"""m that a block may be off its place on another one and still rides on it."""
 
 
 def best_yaw(
@@ -69,7 +72,7 @@ def _room(
     """Distance in m from the fingers around `block` to what is nearest; negative where they would be inside it."""
     others = [b for b in state.of_type(BLOCK) if b not in (block, ignore)]
     corners = finger_corners(state.get(block, "x", "y"), yaw, opening, gripper)
-    return min(finger_clearance(state, corner, tip_z, others) for corner in corners)
+    return float(finger_clearance(state, corners, tip_z, others).min())
 
 
 def finger_corners(centre: np.ndarray, yaw: float, opening: float, gripper: GripperRig) -> np.ndarray:
@@ -80,36 +83,50 @@ def finger_corners(centre: np.ndarray, yaw: float, opening: float, gripper: Grip
     return centre + local @ np.array([[c, s], [-s, c]])
 
 
-def finger_clearance(state: State, point: np.ndarray, tip_z: float, others: list[Object]) -> float:
-    """Distance in m from a point of a finger to the nearest wall or block that reaches up to it; negative inside."""
-    room = np.inf
+def finger_clearance(
+    state: State, points: Float[np.ndarray, "*n 2"], tip_z: float, others: Sequence[Object]
+) -> Float[np.ndarray, "*n"]:
+    """Distances in m from points of a finger to the nearest wall or block that reaches up to it; negative inside."""
+    room = np.full(points.shape[:-1], np.inf)
     for box in state.of_type(BOX):
         inner_x, inner_y, wall_z, thickness = state.get(box, "inner_x", "inner_y", "wall_z", "wall_thickness")
         pose = spatial.pose_from_features(state[box][:7])
         if tip_z > pose[2, 3] + wall_z + 0.005:
             continue
-        local = np.abs(pose[:2, :2].T @ (point - pose[:2, 3]))
+        local = np.abs((points - pose[:2, 3]) @ pose[:2, :2])
         half = np.array([inner_x, inner_y]) / 2
-        inside, outside = float((half - local).min()), float((local - half - thickness).max())
-        room = min(room, max(inside, outside))
+        inside, outside = (half - local).min(-1), (local - half - thickness).max(-1)
+        room = np.minimum(room, np.maximum(inside, outside))
     for other in others:
         x, y, z, width, height = state.get(other, "x", "y", "z", "size_x", "size_z")
         if tip_z > z + height / 2:
             continue
         yaw = float(spatial.yaw_of(state.get(other, "qw", "qx", "qy", "qz")))
         c, s = np.cos(yaw), np.sin(yaw)
-        local = np.abs(np.array([[c, s], [-s, c]]) @ (point - np.array([x, y])))
-        room = min(room, float((local - width / 2).max()))
+        local = np.abs((points - np.array([x, y])) @ np.array([[c, -s], [s, c]]))
+        room = np.minimum(room, (local - width / 2).max(-1))
     return room
 
 
+def carried_with(state: State, held: Object) -> tuple[Object, ...]:
+    """What a hand that holds a block carries: that block, and what is seated on it, from below up."""
+    found = [held]
+    for block in sorted(state.of_type(BLOCK), key=lambda b: float(state.get(b, "z")[0])):
+        gap = state.get(block, "x", "y", "z") - state.get(found[-1], "x", "y", "z")
+        seated = (state.get(block, "size_z")[0] + state.get(found[-1], "size_z")[0]) / 2
+        if block != held and abs(gap[2] - seated) < SEATED and np.hypot(gap[0], gap[1]) < SEATED:
+            found.append(block)
+    return tuple(found)
+
+
 def travel_height(state: State, carried: Object | None) -> float:
-    """Tip height in m at which hand and carried block pass over everything that stands."""
+    """Tip height in m at which hand and carried block, with what rides on it, pass over everything that stands."""
+    in_hand = () if carried is None else carried_with(state, carried)
     tops = [0.0]
     for box in state.of_type(BOX):
         tops.append(float(state.get(box, "z", "wall_z").sum()))
     for block in state.of_type(BLOCK):
-        if block != carried:
+        if block not in in_hand:
             tops.append(float(state.get(block, "z")[0] + state.get(block, "size_z")[0] / 2 + 0.012))
     hanging = 0.0 if carried is None else float(state.get(carried, "size_z")[0])
     return max(tops) + hanging + 0.03

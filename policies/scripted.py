@@ -1,4 +1,4 @@
-"""The given skills: Pick and Insert as guarded Cartesian motions through closed-form inverse kinematics.
+"""The given skills: Pick, Insert and Place as guarded Cartesian motions through closed-form inverse kinematics.
 
 A skill reads the scene once, at its start, chooses the yaw that leaves the fingers most room, and moves. It does not
 know what a corner is: where no yaw clears the walls it tries the best one, and its guards say what happened.
@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from policies.cartesian import Blocked, Hand, Motion, run_motion
-from policies.grasp import best_approach, best_yaw, travel_height
+from policies.grasp import best_approach, best_yaw, carried_with, travel_height
+from policies.placing import Places, free_places
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Ending, Outcome, Skill
 from resync_robot.core.spatial import inverse, pose_from_features, wrap, yaw_of
@@ -44,12 +45,16 @@ class ScriptedSettings:
     touch_force: float = 25.0
     """A descent through free space that meets more than this is stopped."""
     seat_force: float = 15.0
+    contact_range: float = 0.008
+    """How much higher or lower the ground may be than it is believed, where a block is put down."""
+    places: int = 3
+    """How many places are tried where something is in the way of putting a block down."""
     stray: float = 0.025
     """A tip that is this far from where it was sent is held by something."""
 
 
 def scripted_skills(rig: Rig, settings: ScriptedSettings | None = None) -> tuple[Skill, ...]:
-    """Pick(robot, block) and Insert(robot, held block, base block)."""
+    """Pick(robot, block), Insert(robot, held block, base block) and Place(robot, held block)."""
     s = settings or ScriptedSettings()
     return (
         Skill(
@@ -61,6 +66,13 @@ def scripted_skills(rig: Rig, settings: ScriptedSettings | None = None) -> tuple
             lambda objects, first: run_motion(_insert(objects, first, rig, s), first),
             RATE_HZ,
             40,
+        ),
+        Skill(
+            "Place",
+            (ROBOT, BLOCK),
+            lambda objects, first: run_motion(_place(objects, first, rig, s), first),
+            RATE_HZ,
+            60,
         ),
     )
 
@@ -99,8 +111,8 @@ def _insert(objects: tuple[Object, ...], first: Observation, rig: Rig, s: Script
     robot, held, base = objects
     state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
-    tip_T_held = inverse(pose_from_features(state[robot][:7])) @ pose_from_features(state[held][:7])
-    if np.linalg.norm(tip_T_held[:3, 3]) > 0.06:
+    tip_T_held = _pose_in_hand(state, robot, held)
+    if tip_T_held is None:
         return Outcome(Ending.REFUSED, f"{held} is not in the hand")
     width = float(state.get(held, "size_x", "size_y").max())
     x, y, z, base_height = state.get(base, "x", "y", "z", "size_z")
@@ -137,6 +149,59 @@ def _insert(objects: tuple[Object, ...], first: Observation, rig: Rig, s: Script
     except Blocked as blocked:
         return Outcome(Ending.BLOCKED, f"leaving {base}: {blocked}")
     return Outcome(Ending.DONE)
+
+
+def _place(objects: tuple[Object, ...], first: Observation, rig: Rig, s: ScriptedSettings) -> Motion:
+    robot, held = objects
+    state = first.state
+    hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
+    tip_T_held = _pose_in_hand(state, robot, held)
+    if tip_T_held is None:
+        return Outcome(Ending.REFUSED, f"{held} is not in the hand")
+    carried = carried_with(state, held)
+    width = float(state.get(held, "size_x", "size_y").max())
+    above = travel_height(state, carried=held)
+    # The hand keeps its heading: wherever there is room, there is room on all sides.
+    block_to_tip = np.array([0.0, 0.0, state.get(held, "size_z")[0] / 2]) - hand.rotation(hand.yaw) @ tip_T_held[:3, 3]
+    places = free_places(state, carried, width, hand.position[:2], lambda p: _reached(p + block_to_tip, above, hand))
+    if not places:
+        return Outcome(Ending.REFUSED, f"no free place within reach to put {held} down")
+    reason = ""
+    for x, y, z in (place + block_to_tip for place in places[: s.places]):
+        try:
+            yield from hand.retreat(above, s.approach_speed)
+            yield from hand.move(x, y, above, hand.yaw, s.travel_speed)
+            yield from hand.move(x, y, z + s.contact_range, hand.yaw, s.descent_speed, max_force=s.touch_force)
+        except Blocked as blocked:
+            reason = str(blocked)
+            yield from hand.back_off(above, s.approach_speed)
+            continue
+        try:
+            yield from hand.move(x, y, z - s.contact_range, hand.yaw, s.contact_speed, max_force=s.seat_force)
+        except Blocked:
+            # It stands on something.
+            pass
+        yield from hand.open(width + 2 * s.release_clearance)
+        try:
+            yield from hand.move(x, y, above, hand.yaw, s.approach_speed)
+        except Blocked as blocked:
+            return Outcome(Ending.BLOCKED, f"leaving {held}: {blocked}")
+        return Outcome(Ending.DONE)
+    return Outcome(Ending.BLOCKED, f"putting {held} down: {reason}")
+
+
+def _reached(tips: Places, above: float, hand: Hand) -> np.ndarray:
+    """(n,) whether the hand reaches these tip positions (n, 3), and those at the height `above` over them, as it is
+    turned now."""
+    over = tips.copy()
+    over[:, 2] = above
+    return hand.reaches(tips) & hand.reaches(over)
+
+
+def _pose_in_hand(state: State, robot: Object, block: Object) -> np.ndarray | None:
+    """(4, 4) tip_T_block, or None where the block is somewhere else."""
+    tip_T_block = inverse(pose_from_features(state[robot][:7])) @ pose_from_features(state[block][:7])
+    return tip_T_block if np.linalg.norm(tip_T_block[:3, 3]) < 0.06 else None
 
 
 def _block_yaw(state: State, block: Object) -> float:

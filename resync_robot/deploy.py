@@ -245,10 +245,13 @@ def _episode(
     from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
     from resync_robot.doubt import doubting
-    from resync_robot.planning.execute import End, Result, plan_f
+    from resync_robot.planning.execute import End, Result, begin_after, plan_f
     from resync_robot.progress import say
     from resync_robot.recorder import Recorder
+    from sim_training.domains import find_domain
 
+    scenario = find_domain(config.domain).scenarios.get(recording.meta.scenario if recording else config.scenario)
+    before = scenario.begins_after if scenario else ()
     goal = ", ".join(map(str, sorted(task.goal)))
     meta = EpisodeMeta.of(
         rig,
@@ -301,6 +304,8 @@ def _episode(
                 segmenter=segmenter,
             )
             world.stream.recorders.append(recorder.on_stream)
+            if all(_may_run(config, f"{name}({', '.join(of)})") for name, of in before):
+                begin_after(world, model, before, task.objects, recorder)
             result = plan_f(world, model, task.goal, listener=recorder)
         except (PerceptionError, MotionError, RobotError) as error:
             # One episode's trouble is recorded with it and leaves the others their turn.

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from resync_robot.core.task import Domain
     from resync_robot.core.world import World
     from resync_robot.doubt import DoubtingAbstraction
-    from resync_robot.planning.abstract import Abstraction
-    from resync_robot.planning.execute import Listener, Result
+    from resync_robot.planning.execute import Listener, Model, Result
     from resync_robot.planning.search import Plan
 
 _log = logging.getLogger(__name__)
@@ -246,7 +245,7 @@ class _Context:
     rig: Rig
     perception: str
     unseen: bool
-    given: Abstraction
+    given: Model
     methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]]
 
 
@@ -275,13 +274,13 @@ def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: 
         methods[i, "rc"] = given, partial(plan_f, model=with_skill, reaction=reaction)
         methods[i, "initial"] = given, partial(plan_f, model=initial)
         methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
-    return _Context(domain, rig, perception, worlds == "unseen", initial.abstraction, methods)
+    return _Context(domain, rig, perception, worlds == "unseen", initial, methods)
 
 
 def _run(context: _Context, job: Job) -> EpisodeRow:
     import time
 
-    from resync_robot.planning.execute import End, Listener, Result
+    from resync_robot.planning.execute import End, Listener, Result, begin_after
     from sim_training.domains import world_task
     from sim_training.mine import is_at_rest
     from sim_training.world import SimWorld
@@ -300,13 +299,15 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
             self.skills.append(str(skill))
 
     abstraction, method = context.methods[job.library, job.method]
+    before = context.domain.scenario(job.scenario).begins_after
     notes = Notes()
     begun = time.monotonic()
-    # A scene that does not stand still is not a task; the next one takes its place.
+    # A scene that does not stand still is not a task, nor one in which the episode cannot begin as it should; the next
+    # one takes its place.
     for attempt in range(20):
         task = world_task(context.domain, job.scenario, job.seed, job.episode + MOST_EPISODES * attempt, context.unseen)
         world = SimWorld(task, context.rig)
-        if is_at_rest(world):
+        if is_at_rest(world) and begin_after(world, context.given, before, task.objects):
             break
     if context.perception == "oracle":
         result = method(world, goal=task.goal, listener=notes)
@@ -322,9 +323,12 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
                 devices.robot, devices.cameras, context.rig, task.objects, devices.truth, abstraction=abstraction
             )
             try:
-                result = method(seen, goal=task.goal, listener=notes)
+                if begin_after(seen, context.given, before, task.objects):
+                    result = method(seen, goal=task.goal, listener=notes)
+                else:
+                    result = Result(End.FAULT, "the episode could not begin as its scenario says", (), (), task.initial)
                 # What the robot believes at the end does not count; what is true does.
-                reached = task.goal <= context.given.true_atoms(devices.truth())
+                reached = task.goal <= context.given.abstraction.true_atoms(devices.truth())
             except (PerceptionError, MotionError, RobotError) as error:
                 result, reached = Result(End.FAULT, error.what, (), (), devices.truth()), False
     return EpisodeRow(

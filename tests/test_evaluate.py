@@ -225,6 +225,25 @@ def test_episodes_are_run_counted_and_written(
     assert provenance["libraries"] == [row["library_hash"]] == [given_library().content_hash]
 
 
+def test_an_episode_can_begin_with_a_block_in_the_hand(library: Path, tmp_path: Path) -> None:
+    """The given model inserts at once what it holds, again and again: that is shorter than to put it down."""
+    file = tmp_path / "rows.json"
+    args = ["--library", str(library), "--methods", "initial", "--scenarios", "s7", "--episodes", "1"]
+    assert cli.main(["evaluate", *args, "--workers", "0", "--json", str(file)]) == 0
+    (episode,) = json.loads(file.read_text())["episodes"]
+    assert episode["skills_run"] == ["Insert(r, b1, b0)"] * ExecuteSettings().max_failures
+    assert (episode["success"], episode["end"]) == (False, "stuck")
+
+
+def test_the_shipped_library_puts_the_block_down_frees_the_base_and_goes_on(tmp_path: Path) -> None:
+    file = tmp_path / "rows.json"
+    args = ["--methods", "resync", "--scenarios", "s7", "--seeds", "1000", "--episodes", "1"]
+    assert cli.main(["evaluate", *args, "--workers", "0", "--json", str(file)]) == 0
+    (episode,) = json.loads(file.read_text())["episodes"]
+    assert episode["success"]
+    assert episode["skills_run"] == ["Place(r, b1)", "Recover(r, b0, box)", "Pick(r, b1)", "Insert(r, b1, b0)"]
+
+
 def test_with_the_right_sequence_given_the_shipped_skills_reach_the_goal(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
     args = ["--methods", "human", "--scenarios", "s0,s1", "--episodes", "1", "--workers", "1", "--json", str(file)]

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from resync_robot.core.errors import LibraryError, PolicyError
+from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.knowledge import (
@@ -18,21 +19,24 @@ from resync_robot.knowledge import (
     make_library,
     model_with_recovery,
     sees_by_camera,
+    shipped_library,
 )
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.model import Concepts
 from resync_robot.planning.execute import Affordance
+from resync_robot.planning.pddl import domain_to_pddl
 from resync_robot.planning.search import plan
 from sim_training.domains import find_domain
 from tests import scenes
 from tests.libraries import DOMAIN, given_library, recovery_record
 
 RIG, CORNERED = load_rig(), find_domain(DOMAIN)
+ON = CORNERED.predicate("On")
 
 
 def test_the_given_model_plans_obliviously() -> None:
     model = initial_model(CORNERED, RIG)
-    assert set(model.skills) == {"Pick", "Insert"}
+    assert set(model.skills) == {"Pick", "Insert", "Place"}
     initial = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).initial
     goal = CORNERED.parse_goal("On(b1,b0)", initial.objects)
     found = plan(model.operators, initial.objects, model.abstraction.true_atoms(initial), goal)
@@ -41,7 +45,7 @@ def test_the_given_model_plans_obliviously() -> None:
 
 def test_a_recovery_beside_it_changes_neither_symbols_nor_plans() -> None:
     given, model = initial_model(CORNERED, RIG), model_with_recovery(CORNERED, RIG, recovery_record())
-    assert set(model.skills) == {"Pick", "Insert", CORNERED.recovery}
+    assert set(model.skills) == {"Pick", "Insert", "Place", CORNERED.recovery}
     assert model.operators == given.operators
     assert model.abstraction.predicates == given.abstraction.predicates
     assert [t.name for t in model.skill(CORNERED.recovery).types] == ["robot", "block", "box"]
@@ -71,6 +75,36 @@ def test_a_library_comes_back_as_the_model_it_was_made_of() -> None:
     assert [model.risk.of(pick, atoms) for atoms in ({hand_empty}, set())] == pytest.approx(-np.log([2 / 4, 1 / 5]))
     assert library.gaussians == {"before": gaussian.to_json()}
     assert (library.rig_hash, library.provenance) == (RIG.hash, {"seed": 1})
+
+
+def test_what_a_domain_was_given_since_a_library_was_learned_comes_with_it() -> None:
+    before = [o for o in CORNERED.operators if o.name in ("Pick", "Insert")]
+    older = replace(
+        given_library(),
+        domain_pddl=domain_to_pddl(
+            CORNERED.name,
+            CORNERED.types,
+            [p for p in CORNERED.predicates if p.name != "On"],
+            [replace(o, add=o.add - {ON(*o.parameters[1:])} if o.name == "Insert" else o.add) for o in before],
+        ),
+    )
+    model = learned_model(CORNERED, RIG, older)
+    learned = {o.name: o for o in model.operators}
+    assert set(learned) == {"Pick", "Insert", "Place"} and learned["Place"] in CORNERED.operators
+    assert ON not in {a.predicate for a in learned["Insert"].add}, "what was learned stays as it was"
+    assert set(model.abstraction.predicates) == set(CORNERED.predicates)
+
+
+def test_the_shipped_library_puts_down_what_is_in_the_hand_to_free_its_base() -> None:
+    """Nobody told the planner to: the recovery was learned with an empty hand, and Place empties it."""
+    model = learned_model(CORNERED, RIG, load_library(shipped_library(DOMAIN)))
+    corner = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).initial
+    x, y, z = corner.get(BLOCK("b1"), "x", "y", "z")
+    held = corner.with_features(BLOCK("b1"), z=z + 0.25)
+    held = held.with_features(ROBOT("r"), x=x, y=y, z=z + 0.25, opening=scenes.WIDTH)
+    atoms, goal = model.abstraction.true_atoms(held), CORNERED.parse_goal("On(b1,b0)", held.objects)
+    found = plan(model.operators, held.objects, atoms, goal, risk=model.risk)
+    assert str(found) == "Place(r, b1), Recover(r, b0, box), Pick(r, b1), Insert(r, b1, b0)"
 
 
 def test_a_library_of_another_domain_is_refused() -> None:

@@ -32,6 +32,8 @@ class Scenario:
         sample: (rng, seed) -> a task with physics, sizes and looks between the edges of training.
         sample_practice: the same, at the edges more often: what training draws.
         sample_unseen: the same, with physics, sizes and looks that training never draws.
+        begins_after: given skills with the names of their objects, which the robot runs before an episode begins: what
+            they leave behind is the situation that it is in, such as a block in its hand.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Scenario:
     sample_practice: Callable[[np.random.Generator, int], Task]
     sample_unseen: Callable[[np.random.Generator, int], Task]
     training: bool = False
+    begins_after: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,8 @@ def learn_concepts(
 
     proposals = candidates(recovery, affected, dataset.signatures)
     if config.mode == "default":
-        tried = [op.name for op in given.operators]
+        attempted = {step.skill for run in dataset.runs for step in (*run.steps, *run.failures)}
+        tried = [op.name for op in given.operators if op.name in attempted]
         proposals += affordances(recovery, tried, dataset.signatures)
     kept, log = _train(dataset, proposals, explained, config, seed, progress)
     # A candidate that attempts label supersedes the one with the same effects whose boundary is left to luck.

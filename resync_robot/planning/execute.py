@@ -6,7 +6,7 @@ Training, evaluation and deployment run this very function; they differ in the w
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
@@ -114,7 +114,8 @@ class Listener:
 
 @dataclass(frozen=True, kw_only=True)
 class ExecuteSettings:
-    max_skills: int = 16
+    max_skills: int = 24
+    """One more try with a block that had to be put down takes four."""
     max_failures: int = 5
     """Failures of one ground skill after which the episode is given up. A skill that breaks off in time often leaves
     things better than they were, and the next attempt begins from there."""
@@ -213,6 +214,28 @@ def plan_f(
             break
         else:
             reason = "the plan ended short of the goal"
+
+
+def begin_after(
+    world: World,
+    model: Model,
+    steps: Sequence[tuple[str, tuple[str, ...]]],
+    objects: Sequence[Object],
+    listener: Listener | None = None,
+) -> bool:
+    """Run the skills that a scenario begins after, by their names and those of their objects.
+
+    Returns:
+        Whether each of them said that it is done; the first that does not is the last that was run.
+    """
+    if not steps:
+        return True
+    named = {o.name: o for o in objects}
+    # A skill needs to know where things are.
+    world.perceive()
+    return all(
+        run_skill(world, model.skill(name).ground(tuple(named[o] for o in of)), listener).done for name, of in steps
+    )
 
 
 def run_skill(world: World, ground: GroundSkill, listener: Listener | None = None) -> Outcome:

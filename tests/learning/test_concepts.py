@@ -17,7 +17,7 @@ from resync_robot.learning.fit import SCREENING, FitConfig
 from resync_robot.learning.model import load_concepts
 from resync_robot.planning.abstract import Abstraction, ForAll
 from resync_robot.planning.search import plan
-from tests.learning.toy import B1, DOMAIN, HAND_EMPTY, HOLDING, R, Toy
+from tests.learning.toy import B1, DOMAIN, HAND_EMPTY, HOLDING, INSERT, PICK, R, Toy
 
 RECOVER = (ROBOT, BLOCK, BOX)
 SMALL = FitConfig(widths=(64, 64), epochs=15, learning_rate=3e-3)
@@ -162,6 +162,18 @@ def test_a_library_that_does_not_fit_is_refused(concepts: Concepts) -> None:
         load_concepts(pddl, {**records, "Other": next(iter(records.values()))}, TYPES, DOMAIN.classifiers)
     with pytest.raises(LibraryError, match="of kind"):
         load_concepts(pddl, {**records, "ReadyPick": Record({"kind": "magic"})}, TYPES, DOMAIN.classifiers)
+
+
+def test_a_given_skill_that_no_dream_uses_changes_nothing_that_is_learned(concepts: Concepts) -> None:
+    """The same candidates, each with its own seed, the same model; that skill's operator stays as it was given."""
+    put = replace(PICK, name="Put", preconditions=PICK.add, add=PICK.delete, delete=PICK.add)
+    more = replace(DOMAIN, operators=(PICK, put, INSERT))
+    toy = Toy(0)
+    data = toy.dreams(100) + toy.attempts(140)
+    found = learn_concepts(data, more, "Recover", RECOVER, "Pick", config=ConceptConfig(fit=SMALL))
+    assert set(found.operators) == {*concepts.operators, put}
+    assert found.report["candidates"] == concepts.report["candidates"]
+    assert found.report["affordance_of"] == concepts.report["affordance_of"]
 
 
 def test_data_without_recovery_are_refused() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from hypothesis import strategies as st
 from policies.cartesian import GIVE_IN_STEP, Blocked, Hand, run_motion
 from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import Ending, Outcome
 from tests import scenes
 from tests.policies.followers import RIG, Follower
@@ -36,6 +39,15 @@ def follow(world: Follower, hand: Hand, motion: Generator[JointTarget, Any, Any]
 
 def hand_of(world: Follower, stray: float = 0.02) -> Hand:
     return Hand(RIG, world.observe(), PERIOD, stray)
+
+
+def test_it_says_which_places_the_arm_reaches_and_which_the_workspace_allows() -> None:
+    hand = hand_of(Follower(SCENE))
+    tips = np.array([[0.45, 0.0, 0.02], [0.45, 0.3, 0.3], [1.2, 0.0, 0.02], [0.45, 0.0, 1.5]])
+    assert hand.reaches(tips).tolist() == [True, True, False, False]
+    narrow = load_rig(Path("hardware/emulated.toml"))
+    hand.rig = replace(narrow, controller=replace(narrow.controller, workspace_high=np.array([0.9, 0.2, 0.9])))
+    assert hand.reaches(tips).tolist() == [True, False, False, False]
 
 
 place = st.tuples(st.floats(0.35, 0.55), st.floats(-0.2, 0.2), st.floats(0.05, 0.35))

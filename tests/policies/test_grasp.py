@@ -7,11 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from policies.grasp import SPARE, best_approach, best_yaw, finger_clearance, finger_corners, travel_height
+from policies.grasp import (
+    SPARE,
+    best_approach,
+    best_yaw,
+    carried_with,
+    finger_clearance,
+    finger_corners,
+    travel_height,
+)
 from resync_robot.core import spatial
 from tests import scenes
 from tests.policies.followers import RIG
-from tests.scenes import B0, B1, BOX_X, CORNER, HEIGHT, INNER, WALL, WIDTH
+from tests.scenes import B0, B1, B2, BOX_X, CORNER, HEIGHT, INNER, WALL, WIDTH
 
 GRIPPER = RIG.gripper
 OPENING = WIDTH + 0.024
@@ -84,7 +92,7 @@ STATE = scenes.scene({"b0": (0.0, 0.0), "b1": (-0.1, 0.0)}).initial
 
 def room(x: float, y: float, z: float = GRASP_Z, others: tuple = ()) -> float:
     """Clearance at a point in the frame of the box."""
-    return finger_clearance(STATE, np.array([BOX_X + x, y]), z, list(others))
+    return float(finger_clearance(STATE, np.array([BOX_X + x, y]), z, others))
 
 
 def test_room_is_positive_inside_and_outside_the_box_and_negative_in_a_wall() -> None:
@@ -118,5 +126,26 @@ def test_hand_and_carried_block_travel_over_everything(places: list[tuple[float,
         lowest = height - (HEIGHT if carried else 0.0)
         assert lowest > scenes.FLOOR + scenes.RIM
         for block in state.of_type(B0.type):
-            if block != carried:
+            if carried is None or block not in carried_with(state, carried):
                 assert lowest > state.get(block, "z")[0] + HEIGHT / 2 + stud
+
+
+@given(st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)), min_size=1, max_size=20))
+def test_the_room_of_many_points_is_that_of_each(points: list[tuple[float, float]]) -> None:
+    state = scenes.scene({"b0": (0.02, 0.01, 0.5), "b1": (-0.1, 0.0, -0.3)}, box_yaw=0.15).initial
+    at = np.array(points) + [BOX_X, 0.0]
+    together = finger_clearance(state, at, GRASP_Z, (B0, B1))
+    each = [float(finger_clearance(state, p, GRASP_Z, (B0, B1))) for p in at]
+    np.testing.assert_allclose(together, each, atol=1e-12)
+
+
+def test_a_tower_held_by_its_lowest_block_rides_along_and_is_not_travelled_over() -> None:
+    """Its upper block was counted among what stands in the way: each motion took the tower higher by its own height."""
+    up = 0.2
+    held = (0.0, 0.0, 0.3, up)
+    alone = scenes.scene({"b0": held, "b2": (0.1, 0.1)}).initial
+    tower = scenes.scene({"b0": held, "b1": (0.004, 0.0, 0.2, up + HEIGHT), "b2": (0.1, 0.1)}).initial
+    assert carried_with(tower, B0) == (B0, B1) and carried_with(tower, B1) == (B1,)
+    assert travel_height(tower, B0) == travel_height(alone, B0) < up
+    beside = scenes.scene({"b0": held, "b1": (0.03, 0.0, 0.2, up + HEIGHT), "b2": (0.1, 0.1, 0.0, up - HEIGHT)}).initial
+    assert carried_with(beside, B0) == (B0,) and B2 in beside

@@ -141,3 +141,80 @@ def test_speeds_are_settings() -> None:
         run_skill(world, skills["Pick"].ground((R, B0)))
         times.append(world.time)
     assert times[1] > times[0] + 1.0
+
+
+# -- Place ------------------------------------------------------------------------------------------------------------
+
+
+def bottom(world: SimWorld, block: Object) -> float:
+    return float(world.perceive().get(block, "z")[0] - scenes.HEIGHT / 2)
+
+
+@pytest.mark.parametrize("blocked", [False, True], ids=["from the air", "after an insertion that was blocked"])
+def test_what_is_in_the_hand_is_put_down_softly_and_can_be_picked_again(blocked: bool) -> None:
+    world = build(FREE, (CORNER, CORNER))
+    assert run(world, "Pick", B0).done
+    if blocked:
+        assert not run(world, "Insert", B0, B1).done
+    before = world.perceive()
+    monitor = ContactMonitor(world)
+    assert run(world, "Place", B0, monitor=monitor).done
+    state = world.perceive()
+    assert hand_empty(state, (R,)) and not on(state, (B0, B1))
+    assert bottom(world, B0) == pytest.approx(0.0, abs=0.001), "it stands on the table"
+    assert np.linalg.norm(state[B1][:3] - before[B1][:3]) < 0.001
+    assert THE_BOX not in monitor.peaks
+    assert is_at_rest(world)
+    assert run(world, "Pick", B0).done
+
+
+def test_a_tower_is_put_down_by_its_lowest_block_and_stands() -> None:
+    upper = (*FREE, scenes.FLOOR + scenes.HEIGHT)
+    world = SimWorld(scenes.scene({"b0": FREE, "b1": ASIDE, "b2": upper}), RIG)
+    assert run(world, "Pick", B0).done
+    assert on(world.perceive(), (B2, B0))
+    assert run(world, "Place", B0).done
+    state = world.perceive()
+    assert on(state, (B2, B0)) and hand_empty(state, (R,))
+    assert bottom(world, B0) == pytest.approx(0.0, abs=0.001)
+    assert is_at_rest(world)
+
+
+def test_what_stands_where_nobody_knew_of_it_sends_the_block_to_another_place() -> None:
+    """The observations show b1 in the box; it stands where the block would have gone."""
+    world = build(FREE)
+    assert run(world, "Pick", B0).done
+    assert run(world, "Place", B0).done
+    chosen = world.perceive()[B0][:2]
+    offset = chosen - [scenes.BOX_X, 0.0]
+
+    world = build(FREE, (*offset, 0.0, 0.0), kind=Hidden)
+    assert run(world, "Pick", B0).done
+    assert run(world, "Place", B0).done
+    state = world.perceive()
+    assert hand_empty(state, (R,)) and bottom(world, B0) == pytest.approx(0.0, abs=0.001)
+    assert np.linalg.norm(state[B0][:2] - chosen) > scenes.WIDTH
+
+
+class Hidden(SimWorld):
+    """A world whose observations show b1 in the box, wherever it stands."""
+
+    def observe(self, live: bool = False) -> Observation:
+        seen = super().observe(live)
+        return replace(seen, state=seen.state.with_features(B1, x=scenes.BOX_X + 0.07, y=0.05, z=0.03))
+
+
+def test_putting_down_what_is_not_in_the_hand_is_refused_without_moving() -> None:
+    world = Follower(scenes.scene({"b0": FREE, "b1": ASIDE}).initial)
+    assert run_skill(world, SKILLS["Place"].ground((R, B0))) == Outcome(Ending.REFUSED, "b0 is not in the hand")
+    assert world.tips == []
+
+
+def test_where_there_is_no_room_to_put_it_down_it_says_so_without_moving() -> None:
+    grid = [(x, y) for x in np.arange(-0.2, 0.2, 0.12) for y in np.arange(-0.4, 0.41, 0.12)]
+    crowd = scenes.scene({"b0": FREE} | {f"b{i}": (*place, 0.0, 0.0) for i, place in enumerate(grid, start=1)}).initial
+    x, y, z = RIG.tip_pose(RIG.arm.home)[:3, 3]
+    world = Follower(crowd.with_features(B0, x=x, y=y, z=z), opening=scenes.WIDTH)
+    outcome = run_skill(world, SKILLS["Place"].ground((R, B0)))
+    assert outcome == Outcome(Ending.REFUSED, "no free place within reach to put b0 down")
+    assert world.tips == []

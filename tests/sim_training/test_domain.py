@@ -12,6 +12,7 @@ from resync_robot.core import kinematics, spatial
 from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.learning.failures import relative_pose
@@ -29,7 +30,16 @@ GIVEN = Abstraction(CORNERED.predicates, CORNERED.classifiers)
 seeds = st.integers(0, 2**31)
 scenario_names = st.sampled_from(sorted(CORNERED.scenarios))
 
-IN_CORNERS = {"s0": {"b0"}, "s1": {"b0"}, "s2": {"b0", "b1"}, "s3": {"b0"}, "s4": set(), "s5": {"b2"}, "s6": set()}
+IN_CORNERS = {
+    "s0": {"b0"},
+    "s1": {"b0"},
+    "s2": {"b0", "b1"},
+    "s3": {"b0"},
+    "s4": set(),
+    "s5": {"b2"},
+    "s6": set(),
+    "s7": {"b0"},
+}
 """Names of the cornered blocks, as the descriptions say."""
 
 
@@ -176,6 +186,31 @@ def test_a_person_frees_what_is_tight_and_needed_and_builds_from_below() -> None
     ]
     for name in ("s4", "s5"):
         assert steps(name) == ["Pick(r, b1)", "Insert(r, b1, b0)"]
+
+
+def test_a_person_whose_hand_is_full_puts_that_down_first_unless_it_can_be_inserted_at_once() -> None:
+    def steps(cornered: float, held: Object) -> list[str]:
+        state = scenes.scene({"b0": (cornered, cornered), "b1": (-0.05, -0.05), "b2": (0.05, -0.08)}).initial
+        x, y, z = RIG.tip_pose(RIG.arm.home)[:3, 3]
+        state = state.with_features(held, x=x, y=y, z=z)
+        state = state.with_features(R, x=x, y=y, z=z, opening=scenes.WIDTH)
+        given = expert(state, CORNERED.parse_goal("On(b1,b0)", state.objects))
+        return [f"{skill}({', '.join(o.name for o in objects)})" for skill, objects in given]
+
+    assert steps(0.0, B1) == ["Insert(r, b1, b0)"]
+    assert steps(0.0, B2) == ["Place(r, b2)", "Pick(r, b1)", "Insert(r, b1, b0)"]
+    assert steps(scenes.CORNER, B1) == ["Place(r, b1)", "Recover(r, b0, box)", "Pick(r, b1)", "Insert(r, b1, b0)"]
+
+
+def test_a_scenario_begins_after_given_skills_only_and_the_newest_comes_last() -> None:
+    """An evaluation's worlds hang on the position of their scenario."""
+    given = {o.name: o for o in CORNERED.operators}
+    for scenario in CORNERED.scenarios.values():
+        objects = {o.name: o for o in sample(scenario.name, 0).objects}
+        for skill, names in scenario.begins_after:
+            assert [objects[n].type for n in names] == [v.type for v in given[skill].parameters]
+    assert list(CORNERED.scenarios) == [f"s{i}" for i in range(8)]
+    assert CORNERED.scenario("s7").begins_after == (("Pick", ("r", "b1")),)
 
 
 @given(seeds)
