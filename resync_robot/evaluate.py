@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from resync_robot.planning.abstract import Abstraction
     from resync_robot.planning.execute import Listener, Result
     from resync_robot.planning.search import Plan
+    from sim_training.solver import Solver
 
 _log = logging.getLogger(__name__)
 
@@ -59,8 +60,12 @@ class EvaluateConfig:
     """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
     pictures, where poses come from the camera too and the library holds a camera policy."""
 
-    worlds: Literal["usual", "unseen"] = "usual"
-    """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had."""
+    worlds: Literal["usual", "unseen", "reference"] = "usual"
+    """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had.
+    reference: the usual worlds with --physics reference."""
+
+    physics: Literal["shipped", "reference"] = "shipped"
+    """reference: contacts solved much more finely, at over ten times the price: the yardstick of the shipped ones."""
 
     rig: Path | None = None
     """The robot and cameras to simulate, a TOML file. Default: the rig that the simulation assumes."""
@@ -104,7 +109,7 @@ def evaluate(config: EvaluateConfig) -> None:
       ([low, high], Wilson), `n` (episodes), `recoveries_per_episode`.
     - `episodes`, one for each episode that was run: the fields of `EpisodeRow`.
     - `provenance`: `version` and `git` of the program, `libraries` (content hashes, by index), `perception`, `skills`,
-      `worlds`, `rig` (its hash), `seeds`, and `episodes`, the number for each row.
+      `worlds`, `physics`, `rig` (its hash), `seeds`, and `episodes`, the number for each row.
 
     Raises:
         ResyncError: bad input, or a library that cannot be used.
@@ -149,7 +154,9 @@ def evaluate(config: EvaluateConfig) -> None:
         for seed in config.seeds
         for episode in range(config.episodes)
     ]
-    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, config.worlds, rig)
+    physics = "reference" if config.worlds == "reference" else config.physics
+    drawn = (config.worlds == "unseen", physics == "reference")
+    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, *drawn, rig)
     done: list[EpisodeRow] = []
     with Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
         for row in parallel_map(_run, jobs, context, config.workers):
@@ -167,6 +174,7 @@ def evaluate(config: EvaluateConfig) -> None:
             "perception": config.perception,
             "skills": skills,
             "worlds": config.worlds,
+            "physics": physics,
             "rig": rig.hash,
             "seeds": list(config.seeds),
             "episodes": config.episodes,
@@ -216,11 +224,14 @@ class _Context:
     rig: Rig
     perception: str
     unseen: bool
+    solver: Solver
     given: Abstraction
     methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]]
 
 
-def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: str, worlds: str, rig: Rig) -> _Context:
+def _context(
+    domain_name: str, paths: tuple[str, ...], perception: str, skills: str, unseen: bool, reference: bool, rig: Rig
+) -> _Context:
     from resync_robot.baselines.human_sequence import run_human_sequence
     from resync_robot.baselines.recovery_chaining import RecoveryChaining
     from resync_robot.core.library import load_library
@@ -228,6 +239,7 @@ def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: 
     from resync_robot.knowledge import camera_recovery, initial_model, learned_model, model_with_recovery
     from resync_robot.planning.execute import plan_f
     from sim_training.domains import find_domain
+    from sim_training.solver import REFERENCE, SHIPPED
 
     domain = find_domain(domain_name)
     initial = doubting(initial_model(domain, rig))
@@ -245,7 +257,8 @@ def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: 
         methods[i, "rc"] = given, partial(plan_f, model=with_skill, reaction=reaction)
         methods[i, "initial"] = given, partial(plan_f, model=initial)
         methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
-    return _Context(domain, rig, perception, worlds == "unseen", initial.abstraction, methods)
+    solver = REFERENCE if reference else SHIPPED
+    return _Context(domain, rig, perception, unseen, solver, initial.abstraction, methods)
 
 
 def _run(context: _Context, job: Job) -> EpisodeRow:
@@ -274,7 +287,8 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
     begun = time.monotonic()
     # A scene that does not stand still is not a task; the next one takes its place.
     for attempt in range(20):
-        task = world_task(context.domain, job.scenario, job.seed, job.episode + 1_000_000 * attempt, context.unseen)
+        episode = job.episode + 1_000_000 * attempt
+        task = world_task(context.domain, job.scenario, job.seed, episode, context.unseen, context.solver)
         world = SimWorld(task, context.rig)
         if is_at_rest(world):
             break
