@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from resync_robot.doubt import DoubtingAbstraction
     from resync_robot.planning.execute import Listener, Model, Result
     from resync_robot.planning.search import Plan
+    from sim_training.solver import Solver
 
 _log = logging.getLogger(__name__)
 
@@ -61,8 +62,12 @@ class EvaluateConfig:
     """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
     pictures, where poses come from the camera too and the library holds a camera policy."""
 
-    worlds: Literal["usual", "unseen"] = "usual"
-    """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had."""
+    worlds: Literal["usual", "unseen", "reference"] = "usual"
+    """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had.
+    reference: the usual worlds with --physics reference."""
+
+    physics: Literal["shipped", "reference"] = "shipped"
+    """reference: contacts solved much more finely, at over ten times the price: the yardstick of the shipped ones."""
 
     rig: Path | None = None
     """The robot and cameras to simulate, a TOML file. Default: the rig that the simulation assumes."""
@@ -109,8 +114,8 @@ def evaluate(config: EvaluateConfig) -> None:
       ([low, high], Wilson), `n` (episodes), `recoveries_per_episode`.
     - `episodes`, one for each episode that was run: the fields of `EpisodeRow`.
     - `provenance`: `version` and `git` of the program, `domain`, `libraries` (content hashes, by index), `perception`,
-      `skills`, `worlds`, `rig` (its hash), `seeds`, `episodes`, the number for each row, and `planned`, the number of
-      all: an evaluation that was interrupted holds fewer, and goes on with `resume`.
+      `skills`, `worlds`, `physics`, `rig` (its hash), `seeds`, `episodes`, the number for each row, and `planned`, the
+      number of all: an evaluation that was interrupted holds fewer, and goes on with `resume`.
 
     Raises:
         ResyncError: bad input, or a library that cannot be used.
@@ -166,6 +171,7 @@ def evaluate(config: EvaluateConfig) -> None:
         for seed in seeds
         for episode in range(config.episodes)
     ]
+    physics = "reference" if config.worlds == "reference" else config.physics
     file = ResultFile(
         path=config.json,
         jobs=jobs,
@@ -178,13 +184,15 @@ def evaluate(config: EvaluateConfig) -> None:
             "perception": config.perception,
             "skills": skills,
             "worlds": config.worlds,
+            "physics": physics,
             "rig": rig.hash,
         },
         more={"seeds": list(seeds), "episodes": config.episodes},
         report=lambda rows: report(rows, domain, hashes),
         parse=_parse,
     )
-    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, config.worlds, rig)
+    drawn = (config.worlds == "unseen", physics == "reference")
+    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, *drawn, rig)
     # Written before the table, so that it is kept where nobody reads that.
     with file.open(config.resume), Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
         todo = file.todo
@@ -245,11 +253,14 @@ class _Context:
     rig: Rig
     perception: str
     unseen: bool
+    solver: Solver
     given: Model
     methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]]
 
 
-def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: str, worlds: str, rig: Rig) -> _Context:
+def _context(
+    domain_name: str, paths: tuple[str, ...], perception: str, skills: str, unseen: bool, reference: bool, rig: Rig
+) -> _Context:
     from resync_robot.baselines.human_sequence import run_human_sequence
     from resync_robot.baselines.recovery_chaining import RecoveryChaining
     from resync_robot.core.library import load_library
@@ -257,6 +268,7 @@ def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: 
     from resync_robot.knowledge import camera_recovery, initial_model, learned_model, model_with_recovery
     from resync_robot.planning.execute import plan_f
     from sim_training.domains import find_domain
+    from sim_training.solver import REFERENCE, SHIPPED
 
     domain = find_domain(domain_name)
     initial = doubting(initial_model(domain, rig))
@@ -274,7 +286,8 @@ def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: 
         methods[i, "rc"] = given, partial(plan_f, model=with_skill, reaction=reaction)
         methods[i, "initial"] = given, partial(plan_f, model=initial)
         methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
-    return _Context(domain, rig, perception, worlds == "unseen", initial, methods)
+    solver = REFERENCE if reference else SHIPPED
+    return _Context(domain, rig, perception, unseen, solver, initial, methods)
 
 
 def _run(context: _Context, job: Job) -> EpisodeRow:
@@ -305,7 +318,8 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
     # A scene that does not stand still is not a task, nor one in which the episode cannot begin as it should; the next
     # one takes its place.
     for attempt in range(20):
-        task = world_task(context.domain, job.scenario, job.seed, job.episode + MOST_EPISODES * attempt, context.unseen)
+        episode = job.episode + MOST_EPISODES * attempt
+        task = world_task(context.domain, job.scenario, job.seed, episode, context.unseen, context.solver)
         world = SimWorld(task, context.rig)
         if is_at_rest(world) and begin_after(world, context.given, before, task.objects):
             break

@@ -33,6 +33,7 @@ from sim_training.mine import Attempt, attempt_task, is_at_rest, resample_failur
 from sim_training.parallel import parallel_map
 from sim_training.ppo import PpoSettings, RecoveryEnv, scaled_to_device, train_recovery
 from sim_training.recovery import RecoverySettings, draw_still, is_recovered
+from sim_training.solver import Solver, with_solver
 from sim_training.vector_env import RecoveryScenes
 from sim_training.world import SimWorld
 
@@ -260,10 +261,12 @@ def _relative(x: np.ndarray, mined: Mined) -> np.ndarray:
     return relative_pose(state, mined.relevant, mined.culprit.failure_object)
 
 
-def _check(context: Context, job: tuple[Mined, int]) -> tuple[bool, bool] | None:
+def _check(context: Context, job: tuple[Mined, int, Solver | None]) -> tuple[bool, bool] | None:
     """Recovery, then the skill that failed: (done as far as beta says, the failed skill's effects came true)."""
-    mined, seed = job
+    mined, seed, solver = job
     task = context.domain.scenario(mined.scenario).sample_practice(np.random.default_rng(seed), seed)
+    if solver is not None:
+        task = with_solver(task, solver)
     world = SimWorld(task, context.rig)
     if not is_at_rest(world):
         return None
@@ -286,9 +289,11 @@ def check_recovery(
     worlds: int,
     workers: int,
     progress: Progress,
+    solver: Solver | None = None,
 ) -> dict[str, Any]:
-    """How often the recovery, then the real failed skill, succeed in fresh worlds."""
-    jobs = [(mined, first_seed + i) for i in range(worlds)]
+    """How often the recovery, then the real failed skill, succeed in fresh worlds; their physics is solved as `solver`
+    says, or as was drawn."""
+    jobs = [(mined, first_seed + i, solver) for i in range(worlds)]
     results = []
     for i, r in enumerate(parallel_map(_check, jobs, partial(make_context, domain.name, rig, record), workers)):
         if r is not None:

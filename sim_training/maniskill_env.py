@@ -38,11 +38,11 @@ from resync_robot.learning import recovery_policy as view
 from sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
 from sim_training.maniskill_robot import Ur7e2f140
 from sim_training.recovery import FailedWorlds, RecoverySettings, reward
-from sim_training.scene import PERIOD, add_block, add_box, add_table
-from sim_training.vector_env import SUBSTEPS
+from sim_training.scene import add_block, add_box, add_table
+from sim_training.solver import SHIPPED, solver_of
+from sim_training.vector_env import CONTROL_PERIOD
 
 ENVIRONMENT = "ResyncCorneredInsertionS-v1"
-_SOLVER_ITERATIONS = 12
 
 
 @register_env(ENVIRONMENT, max_episode_steps=RecoverySettings().horizon)
@@ -80,6 +80,10 @@ class CorneredInsertionEnv(BaseEnv):
     ) -> None:
         if tasks is not None and len({task.objects for task in tasks}) != 1:
             raise TrainingError("the tasks of parallel environments must hold the same objects, and there must be some")
+        solvers = {solver_of(task.physics) for task in tasks or ()}
+        if len({(solver.period, solver.inertia) for solver in solvers}) > 1:
+            raise TrainingError("parallel environments step as one: their physics must have one period and one inertia")
+        self._solver = next(iter(solvers), SHIPPED)
         self._given, self.block = tasks, block or BLOCK("b0")
         self.settings, self.gamma, self.rig = settings or RecoverySettings(), gamma, load_rig()
         super().__init__(*args, robot_uids=robot_uids, render_backend=render_backend, **kwargs)
@@ -92,9 +96,10 @@ class CorneredInsertionEnv(BaseEnv):
     def _default_sim_config(self) -> SimConfig:
         return SimConfig(
             spacing=3,  # the arm reaches 1.2 m; close together, positions keep their digits
-            sim_freq=round(1 / PERIOD),
-            control_freq=round(1 / PERIOD / SUBSTEPS),
-            scene_config=SceneConfig(contact_offset=0.01, solver_position_iterations=_SOLVER_ITERATIONS),
+            sim_freq=round(1 / self._solver.period),
+            control_freq=round(1 / CONTROL_PERIOD),
+            # What is not said here, each body brings along.
+            scene_config=SceneConfig(gravity=np.array(self._solver.gravity), enable_tgs=False),
             gpu_memory_config=GPUMemoryConfig(
                 max_rigid_contact_count=max(2**19, 512 * self.num_envs),
                 max_rigid_patch_count=max(2**18, 256 * self.num_envs),

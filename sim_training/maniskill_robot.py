@@ -18,7 +18,8 @@ from torch import Tensor
 
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import load_rig
-from sim_training.scene import FINGER_JOINTS, BuiltScene, add_robot, urdf_path
+from sim_training.scene import FINGER_JOINTS, TARGET_PERIOD, BuiltScene, add_robot, urdf_path
+from sim_training.solver import solver_of
 from sim_training.vector_env import RECOVERY_TORQUE
 
 _PARKED = 1.0
@@ -65,9 +66,9 @@ class JointTargetController(BaseController):
         self._goal = torch.cat([arm, *[finger] * len(FINGER_JOINTS)], -1)
 
     def before_simulation_step(self) -> None:
-        # A new drive target every 20 ms is as smooth as the arm can tell, at half the calls.
-        if self._step % 2 == 0 and self._step < self._sim_steps:
-            share = min(1.0, (self._step + 2) / self._sim_steps)
+        every = max(1, round(TARGET_PERIOD / self.scene.timestep))
+        if self._step % every == 0 and self._step < self._sim_steps:
+            share = min(1.0, (self._step + every) / self._sim_steps)
             self._send(self._begin + (self._goal - self._begin) * share)
         self._step += 1
 
@@ -107,7 +108,7 @@ class Ur7e2f140(BaseAgent):
         for i, scene in enumerate(self.scene.sub_scenes):
             physics = {"friction_pad": 1.15} if self._physics is None else self._physics[i]
             arm = add_robot(scene, rig, physics, self.scene.can_render())
-            built = BuiltScene(scene, arm, {}, {}, float(physics.get("gain", 1.0)))
+            built = BuiltScene(scene, arm, {}, {}, float(physics.get("gain", 1.0)), solver_of(physics))
             built.set_torque_limits(RECOVERY_TORQUE)
             # ManiSkill finds the name that all parallel copies share by cutting off this prefix.
             arm.name = f"scene-{i}_{self.uid}"

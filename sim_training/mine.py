@@ -18,8 +18,8 @@ from resync_robot.learning.failures import Failure, PairGaussian
 from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_f
 from sim_training.world import SimWorld
 
-SETTLE_STEPS = 20
-"""Physics steps after which a placed object must be at rest where it was put (section 3.1)."""
+SETTLING = 0.2
+"""s after which a placed object must be at rest where it was put (section 3.1)."""
 MOVED = 0.002
 
 
@@ -62,7 +62,7 @@ class ContactMonitor(Listener):
 def is_at_rest(world: SimWorld) -> bool:
     """Let the scene settle; did everything stay where it was put?"""
     before = world.perceive()
-    for _ in range(SETTLE_STEPS):
+    for _ in range(world.built.solver.steps(SETTLING)):
         world.step()
     after = world.perceive()
     return all(np.linalg.norm(after[b][:3] - before[b][:3]) < MOVED for b in before.of_type(BLOCK))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from sim_training import textures
+from sim_training.solver import MOST_ITERATIONS, SHIPPED, Solver
 
 BLOCK_HUES = {"b0": 0.00, "b1": 0.60, "b2": 0.14, "b3": 0.36}
 """Red, blue, yellow, green: what tells the blocks apart for a camera."""
@@ -22,6 +23,7 @@ class Ranges:
     Attributes:
         edges: draw near the edges more often than between them (the arcsine law): there it is hard, and from there on
             nothing was ever tried.
+        solver: draw the solver and its contacts too, around what is shipped; else they are what is shipped.
         beyond: 0 draws between the edges that are written at each quantity. Above, it draws outside them on either
             side, up to this share of the edge: worlds like none in training.
         surfaces: kinds of surfaces of table and box; none: they are plain.
@@ -29,6 +31,7 @@ class Ranges:
     """
 
     edges: bool = False
+    solver: bool = False
     beyond: float = 0.0
     surfaces: tuple[str, ...] = ()
     light_gain: tuple[float, float] = (1.0, 1.0)
@@ -45,9 +48,9 @@ class Ranges:
 
 
 USUAL = Ranges()
-PRACTICE = Ranges(edges=True)
+PRACTICE = Ranges(edges=True, solver=True)
 """What training draws."""
-PICTURED = Ranges(edges=True, surfaces=textures.TRAINED, light_gain=(0.8, 1.2))
+PICTURED = Ranges(edges=True, solver=True, surfaces=textures.TRAINED, light_gain=(0.8, 1.2))
 """What camera policies learn from."""
 UNSEEN = Ranges(beyond=0.10, surfaces=textures.UNSEEN, light_gain=(0.7, 1.3))
 """Up to a tenth beyond the edges of training, with surfaces and lights that it never drew."""
@@ -56,7 +59,7 @@ UNSEEN = Ranges(beyond=0.10, surfaces=textures.UNSEEN, light_gain=(0.7, 1.3))
 def draw_physics(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges = USUAL) -> dict[str, Any]:
     """Physics and looks of one episode. Friction combines by average: pad on block stays well above
     block on box floor, or no hand could press and drag."""
-    return {
+    physics = {
         "friction_pad": ranges.draw(rng, 1.0, 1.3),
         "friction_block": ranges.draw(rng, 0.3, 0.55),
         "friction_box": ranges.draw(rng, 0.2, 0.42),
@@ -64,6 +67,19 @@ def draw_physics(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges
         "masses": {b: ranges.draw(rng, 0.05, 0.16) for b in blocks},
         **draw_looks(rng, blocks, ranges),
     }
+    # Last, and only where wanted, so that the usual worlds stay what they are.
+    return physics | ({"solver": draw_solver(rng)} if ranges.solver else {})
+
+
+def draw_solver(rng: np.random.Generator) -> Solver:
+    """The shipped physics, solved a little more coarsely or more finely, with other contacts."""
+    iterations = round(SHIPPED.iterations * float(np.exp(rng.uniform(np.log(0.8), np.log(1.5)))))
+    return replace(
+        SHIPPED,
+        iterations=min(iterations, MOST_ITERATIONS),
+        contact_offset=float(rng.uniform(0.005, 0.012)),
+        restitution=float(rng.uniform(0.0, 0.1)),
+    )
 
 
 def draw_looks(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges = USUAL) -> dict[str, Any]:

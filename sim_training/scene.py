@@ -21,16 +21,15 @@ from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.core.world import Window
 from sim_training import parts, textures
+from sim_training.solver import Solver, solver_of
 
 FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
-PERIOD = 0.01
-"""Physics period, s. 60 Hz makes a press-and-drag fail more often than not, 200 Hz gains nothing."""
+TARGET_PERIOD = 0.02
+"""s between two drive targets of a learned skill: as smooth as the arm can tell, at half the calls."""
 
 STIFFNESS, DAMPING = 6000.0, 300.0
 TORQUE = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 FINGER_STIFFNESS, FINGER_DAMPING = 3000.0, 150.0
-
-_SOLVER_ITERATIONS = 12
 
 
 def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
@@ -43,12 +42,14 @@ def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
     Raises:
         RenderError: `rendered`, and no device can render.
     """
+    solver = solver_of(task.physics)
+    physx.set_scene_config(gravity=np.array(solver.gravity, dtype=np.float32), enable_tgs=False)
     systems = [physx.PhysxCpuSystem()]
     if rendered:
         _configure_renderer()
         systems.append(render.RenderSystem())
     scene = sapien.Scene(systems)
-    scene.set_timestep(PERIOD)
+    scene.set_timestep(solver.period)
     physics = task.physics
     robot = add_robot(scene, rig, physics, rendered)
     add_table(scene, physics, rendered)
@@ -65,7 +66,7 @@ def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
             look_through(cameras[camera.name], camera, whole_picture(camera))
     if rendered:
         _add_lights(scene, physics)
-    return BuiltScene(scene, robot, bodies, cameras, float(physics.get("gain", 1.0)))
+    return BuiltScene(scene, robot, bodies, cameras, float(physics.get("gain", 1.0)), solver)
 
 
 class BuiltScene:
@@ -78,7 +79,9 @@ class BuiltScene:
         bodies: Mapping[Object, sapien.Entity],
         cameras: Mapping[str, render.RenderCameraComponent],
         gain: float,
+        solver: Solver,
     ) -> None:
+        self.solver = solver
         self.stiffness, self.damping = STIFFNESS * gain, DAMPING * gain
         self.scene, self.robot, self.bodies, self.cameras = scene, robot, dict(bodies), dict(cameras)
         joints = {j.name: j for j in robot.active_joints}
@@ -88,6 +91,7 @@ class BuiltScene:
         self.arm_index = np.array([order.index(n) for n in ARM_JOINTS])
         self.finger_index = np.array([order.index(n) for n in FINGER_JOINTS])
         links = {link.name: link for link in robot.links}
+        self._moved_by_arm = [robot.links.index(joint.child_link) for joint in self.arm_joints]
         self.flange = links["flange"]
         self.hand = {links[n] for n in ("flange", "left_finger", "right_finger")}
         self.set_torque_limits(TORQUE)
@@ -100,6 +104,10 @@ class BuiltScene:
         for joint, limit in zip(self.arm_joints, torque, strict=True):
             joint.set_drive_properties(self.stiffness, self.damping, limit)
 
+    def joint_torques(self) -> np.ndarray:
+        """(6,) N m about their axes that the arm's joints passed on to what they move, in the last step."""
+        return np.asarray(self.robot.get_link_incoming_joint_forces(), dtype=np.float64)[self._moved_by_arm, 3]
+
     def set_configuration(self, q: np.ndarray, opening: float) -> None:
         """Put the robot somewhere at rest, drive targets included."""
         full = np.zeros(self.robot.dof, dtype=np.float32)
@@ -108,6 +116,14 @@ class BuiltScene:
         self.robot.set_qvel(np.zeros_like(full))
         self.drive(q, opening)
 
+    def approach(self, begin: np.ndarray, goal: np.ndarray, opening: float, duration: float) -> None:
+        """Step for `duration` s while the drives' targets go evenly from (6,) `begin` to (6,) `goal`."""
+        steps, every = self.solver.steps(duration), self.solver.steps(TARGET_PERIOD)
+        for i in range(steps):
+            if i % every == 0:
+                self.drive(begin + (goal - begin) * min(1.0, (i + every) / steps), opening)
+            self.scene.step()
+
     def drive(self, q: np.ndarray, opening: float) -> None:
         for joint, value in zip(self.arm_joints, q, strict=True):
             joint.set_drive_target(float(value))
@@ -115,8 +131,8 @@ class BuiltScene:
             joint.set_drive_target(opening / 2)
 
 
-def _material(friction: float) -> physx.PhysxMaterial:
-    return physx.PhysxMaterial(friction, friction, 0.0)
+def _material(friction: float, solver: Solver) -> physx.PhysxMaterial:
+    return physx.PhysxMaterial(friction, friction, solver.restitution)
 
 
 def _visual(
@@ -160,14 +176,16 @@ def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendere
             builder = loader.parse(file.name)[0][0]
     builder.initial_pose = sapien.Pose(rig.arm.world_T_base)
     robot = builder.build(fix_root_link=True)
-    pad, steel = _material(physics["friction_pad"]), _material(0.3)
+    solver = solver_of(physics)
+    pad, steel = _material(physics["friction_pad"], solver), _material(0.3, solver)
     for link in robot.links:
         link.disable_gravity = True
         for shape in link.collision_shapes:
             shape.physical_material = pad if link.name.endswith("finger") else steel
             # A shared bit in the third word: the robot's own links do not collide with each other.
             shape.set_collision_groups([1, 1, 1, 0])
-    robot.set_solver_position_iterations(_SOLVER_ITERATIONS)
+            shape.contact_offset = solver.contact_offset
+    robot.set_solver_position_iterations(solver.iterations)
     joints = {j.name: j for j in robot.active_joints}
     for name in ARM_JOINTS:
         joints[name].set_armature([0.02])
@@ -188,9 +206,11 @@ def _attach_shapes(
     body: physx.PhysxRigidBaseComponent,
     look: render.RenderBodyComponent | None,
     shapes: list[parts.Convex | parts.Cuboid],
-    material: physx.PhysxMaterial,
+    friction: float,
+    solver: Solver,
     paint: Any,
 ) -> None:
+    material = _material(friction, solver)
     for shape in shapes:
         if isinstance(shape, parts.Cuboid):
             solid = physx.PhysxCollisionShapeBox(shape.half.astype(np.float32), material)
@@ -198,6 +218,7 @@ def _attach_shapes(
         else:
             scale = np.ones(3, dtype=np.float32)
             solid = physx.PhysxCollisionShapeConvexMesh(shape.vertices.astype(np.float32), scale, material)
+        solid.contact_offset = solver.contact_offset
         body.attach(solid)
         if look is None:
             continue
@@ -217,16 +238,22 @@ def add_table(scene: sapien.Scene, physics: Mapping[str, Any], rendered: bool) -
     slab = parts.Cuboid(np.array([0.35, -0.05, -0.02]), np.array([0.75, 0.75, 0.02]))
     colour = physics.get("table_colour", (0.75, 0.68, 0.58))
     paint = _visual(colour, surface=physics.get("surfaces", {}).get("table")) if rendered else None
-    _add_static(scene, "table", sapien.Pose(), [slab], 0.4, paint)
+    _add_static(scene, "table", sapien.Pose(), [slab], 0.4, solver_of(physics), paint)
 
 
 def _add_static(
-    scene: sapien.Scene, name: str, pose: sapien.Pose, shapes: Any, friction: float, paint: render.RenderMaterial | None
+    scene: sapien.Scene,
+    name: str,
+    pose: sapien.Pose,
+    shapes: Any,
+    friction: float,
+    solver: Solver,
+    paint: render.RenderMaterial | None,
 ) -> sapien.Entity:
     entity = _entity(scene, name, pose)
     body = physx.PhysxRigidStaticComponent()
     look = render.RenderBodyComponent() if paint is not None else None
-    _attach_shapes(body, look, shapes, _material(friction), paint)
+    _attach_shapes(body, look, shapes, friction, solver, paint)
     entity.add_component(body)
     if look is not None:
         entity.add_component(look)
@@ -239,7 +266,8 @@ def add_box(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sap
     pose = _pose(task.initial[obj][:7])
     colour = task.physics.get("box_colour", (0.35, 0.37, 0.40))
     paint = _visual(colour, surface=task.physics.get("surfaces", {}).get("box")) if rendered else None
-    return _add_static(scene, obj.name, pose, shapes, task.physics["friction_box"], paint)
+    solver = solver_of(task.physics)
+    return _add_static(scene, obj.name, pose, shapes, task.physics["friction_box"], solver, paint)
 
 
 def add_block(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
@@ -248,16 +276,16 @@ def add_block(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> s
     entity = _entity(scene, obj.name, _pose(task.initial[obj][:7]))
     body = physx.PhysxRigidDynamicComponent()
     look = render.RenderBodyComponent() if rendered else None
-    material = _material(task.physics["friction_block"])
+    solver = solver_of(task.physics)
     paint = _visual(colour, roughness=0.45) if rendered else None
-    _attach_shapes(body, look, parts.block_shapes(tuple(size)), material, paint)
+    _attach_shapes(body, look, parts.block_shapes(tuple(size)), task.physics["friction_block"], solver, paint)
     # A hollow socket shifts mass and inertia little; a solid cuboid's inertia is what the blocks have.
-    mass = float(task.physics["masses"][obj.name])
+    mass = float(task.physics["masses"][obj.name]) * solver.inertia
     body.mass = mass
     body.inertia = (
         mass / 12 * np.array([size[1] ** 2 + size[2] ** 2, size[0] ** 2 + size[2] ** 2, size[0] ** 2 + size[1] ** 2])
     ).astype(np.float32)
-    body.solver_position_iterations = _SOLVER_ITERATIONS
+    body.solver_position_iterations = solver.iterations
     body.linear_damping, body.angular_damping = 0.05, 0.1
     entity.add_component(body)
     if look is not None:

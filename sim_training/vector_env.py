@@ -18,11 +18,12 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 
-SUBSTEPS = 10
-"""Physics steps of 10 ms in one control step of the recovery policy (10 Hz)."""
+CONTROL_PERIOD = 0.1
+"""s of one control step of the recovery policy."""
 RECOVERY_TORQUE = (40.0, 40.0, 40.0, 12.0, 12.0, 12.0)
 """N m while a learned skill runs: without the cap a policy learns to flick the block with 200 N."""
-_SETTLE = 2
+_SETTLE = 0.02
+"""s."""
 
 
 class RecoveryScenes:
@@ -160,12 +161,7 @@ class _Worker:
     def step(self) -> None:
         for scene, built in self.scenes.items():
             goal, opening = self.target[scene, :6], float(self.target[scene, 6])
-            begin = self.last[scene].copy()
-            for i in range(SUBSTEPS):
-                # A new drive target every 20 ms is as smooth as the arm can tell, at half the calls.
-                if i % 2 == 0:
-                    built.drive(begin + (goal - begin) * min(1.0, (i + 2) / SUBSTEPS), opening)
-                built.scene.step()
+            built.approach(self.last[scene].copy(), goal, opening, CONTROL_PERIOD)
             self.last[scene] = goal
             self._read(scene)
 
@@ -182,7 +178,7 @@ class _Worker:
             body.wake_up()
             built.set_configuration(q, 0.0)
             self.last[scene] = q
-            for _ in range(_SETTLE):
+            for _ in range(built.solver.steps(_SETTLE)):
                 built.scene.step()
             self._read(scene)
 

@@ -18,7 +18,6 @@ from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.core.world import CameraFrame, Cutout, Observation, Window
 from sim_training.scene import (
-    PERIOD,
     TORQUE,
     BuiltScene,
     add_camera,
@@ -51,15 +50,13 @@ class SimWorld:
         rendered: build visuals and cameras, so that `render` works.
     """
 
-    period = PERIOD
-
     def __init__(self, task: Task, rig: Rig, rendered: bool = False) -> None:
         self.task, self.rig = task, rig
         self.built: BuiltScene = build_scene(task, rig, rendered)
+        self.period = self.built.solver.period
         self.time = 0.0
         self.robot_object = next(o for o in task.objects if o.type == ROBOT)
         self._blocks = [o for o in task.objects if o.type == BLOCK]
-        self._torque = np.asarray(TORQUE)
         self._target = JointTarget(rig.arm.home.copy(), rig.gripper.max_opening)
         self._small: dict[tuple[str, int], RenderCameraComponent] = {}
         self._hooks: list[Callable[[SimWorld], None]] = []
@@ -71,8 +68,7 @@ class SimWorld:
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
         """(6,) N m for the arm, or None for the arm's own limits."""
-        self._torque = np.asarray(limit if limit is not None else TORQUE)
-        self.built.set_torque_limits(tuple(self._torque))
+        self.built.set_torque_limits(TORQUE if limit is None else limit)
 
     def drive(self, q: np.ndarray, opening: float) -> None:
         """Set the joint drives' targets; nothing moves until `step`."""
@@ -82,13 +78,13 @@ class SimWorld:
     def step(self) -> None:
         """Advance one physics period."""
         self.built.scene.step()
-        self.time += PERIOD
+        self.time += self.period
         for hook in self._hooks:
             hook(self)
 
     def act(self, target: JointTarget, duration: float) -> None:
         """Move the drives' targets to `target` in equal increments over `duration` seconds."""
-        steps = max(1, round(duration / PERIOD))
+        steps = self.built.solver.steps(duration)
         begin = self._target
         for i in range(1, steps + 1):
             s = i / steps
@@ -99,7 +95,7 @@ class SimWorld:
         """(6,) rad, (6,) rad/s, opening in m, (3,) N force of the world on the hand, world frame."""
         qpos, qvel = self.built.robot.qpos.astype(np.float64), self.built.robot.qvel.astype(np.float64)
         q, qd = qpos[self.built.arm_index], qvel[self.built.arm_index]
-        return q, qd, float(qpos[self.built.finger_index].sum()), self._tip_force(q, qd)
+        return q, qd, float(qpos[self.built.finger_index].sum()), self._tip_force(q)
 
     def observe(self, live: bool = False) -> Observation:
         q, qd, opening, force = self.measure()
@@ -153,7 +149,7 @@ class SimWorld:
                 continue
             impulse = np.sum([p.impulse for p in contact.points], axis=0) if contact.points else np.zeros(3)
             other = named.get(second if first in hand else first)
-            found[other] = found.get(other, 0.0) + float(np.linalg.norm(impulse)) / PERIOD
+            found[other] = found.get(other, 0.0) + float(np.linalg.norm(impulse)) / self.period
         return sorted(((o, f) for o, f in found.items() if f > 0), key=lambda item: -item[1])
 
     def render(self, name: str) -> CameraFrame:
@@ -187,10 +183,10 @@ class SimWorld:
         camera.take_picture()
         return Cutout(name, colour_of(camera), self.time)
 
-    def _tip_force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """From the joint drives' own efforts, as a real arm estimates it from its motor currents."""
-        effort = self.built.stiffness * (self._target.arm - q) - self.built.damping * qd
-        effort = np.clip(effort, -self._torque, self._torque)
+    def _tip_force(self, q: np.ndarray) -> np.ndarray:
+        """From the torques that the arm's joints passed on in the last step, as a real arm estimates it from what its
+        joints feel: forces across a joint's axis are not used."""
+        effort = self.built.joint_torques()
         jacobian = self.rig.tip_jacobian(q)
         # Damped, so that a singular pose gives a modest estimate instead of a huge one.
         wrench = np.linalg.solve(jacobian @ jacobian.T + 1e-4 * np.eye(6), jacobian @ -effort)

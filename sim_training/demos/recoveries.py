@@ -17,11 +17,11 @@ from resync_robot.core.vocabulary import BOX
 from resync_robot.learning import camera_view, recovery_policy
 from resync_robot.learning.camera_view import PICTURE, VIEWS, Scanned
 from sim_training.demos.starts import Start
-from sim_training.mine import MOVED, SETTLE_STEPS
+from sim_training.mine import MOVED, SETTLING
 from sim_training.recovery import FailedWorlds, draw_still, lagging
 from sim_training.scene import add_camera, build_scene, colour_of, look_through
 from sim_training.sensor import NoisySensor
-from sim_training.vector_env import RECOVERY_TORQUE, SUBSTEPS
+from sim_training.vector_env import CONTROL_PERIOD, RECOVERY_TORQUE
 
 FOCAL_SIGMA = 0.005
 """Relative error of a calibrated focal length."""
@@ -106,11 +106,7 @@ class RenderedRecovery:
         """Send the tip to `goal` over one control step, as late as this arm is."""
         before, command = (torch.as_tensor(v, dtype=torch.float32)[None] for v in (self.sent, goal))
         q = self._worlds.joints_at(lagging(command, before, self.lag), self._zero)[0]
-        begin = self._last
-        for i in range(SUBSTEPS):
-            if i % 2 == 0:
-                self._built.drive(begin + (q - begin) * min(1.0, (i + 2) / SUBSTEPS), 0.0)
-            self._built.scene.step()
+        self._built.approach(self._last, q, 0.0, CONTROL_PERIOD)
         self._last, self.sent = q, np.asarray(goal, dtype=np.float64)
         self.previous, self.x = self.x, self._state()
 
@@ -160,7 +156,7 @@ class RenderedRecovery:
 
     def _settle(self) -> bool:
         places = {o: b.entity_pose.p.copy() for o, b in self._built.rigid.items() if b is not None}
-        for _ in range(SETTLE_STEPS):
+        for _ in range(self._built.solver.steps(SETTLING)):
             self._built.scene.step()
         return all(np.linalg.norm(self._built.rigid[o].entity_pose.p - p) < MOVED for o, p in places.items())
 
@@ -172,7 +168,7 @@ class RenderedRecovery:
         q = self._worlds.joints_at(torch.as_tensor(tip, dtype=torch.float32)[None], self._zero)[0]
         self._built.set_torque_limits(RECOVERY_TORQUE)
         self._built.set_configuration(q, 0.0)
-        for _ in range(2):
+        for _ in range(self._built.solver.steps(0.02)):
             self._built.scene.step()
         return tip, q
 

@@ -1,6 +1,6 @@
 """The recovery by camera beside its teacher, which knows the exact state, in the same fresh rendered worlds.
 
-    python tests/benchmarks/camera_recovery.py LIBRARY... [--worlds 200] [--workers 2]
+    python tests/benchmarks/camera_recovery.py LIBRARY... [--worlds 200] [--workers 2] [--physics reference]
 
 Every world begins with a block that is stuck. "usual" worlds are drawn as in training, "unseen" ones have friction,
 masses and sizes beyond its edges, and surfaces and lights that it never had. Prints JSON, a line for each library.
@@ -12,6 +12,7 @@ import argparse
 import json
 import tempfile
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from sim_training.domains import find_domain
 from sim_training.parallel import parallel_map
 from sim_training.randomise import PICTURED, UNSEEN
 from sim_training.recovery import RecoverySettings
+from sim_training.solver import REFERENCE, with_solver
 
 FRESH = 950_000_000
 """First world seed; training seeds stay far below it."""
@@ -50,13 +52,15 @@ def _context(path: Path) -> tuple[Library, Teacher, CameraPolicy, dict[str, Pair
     return library, recovery_nets(record)[0].act, student, gaussians
 
 
-def _both(context, job: tuple[str, int]) -> list[tuple[bool, bool, bool]]:  # type: ignore[no-untyped-def]
+def _both(context, job: tuple[str, int, bool]) -> list[tuple[bool, bool, bool]]:  # type: ignore[no-untyped-def]
     """For each world of a batch: the teacher recovered, the student recovered, the student said that it was done."""
     library, teacher, student, gaussians = context
-    looks, first = job
+    looks, first, reference = job
     ranges = UNSEEN if looks == "unseen" else PICTURED
     domain, rig = find_domain(library.domain), load_rig()
     starts = [draw_start(domain, gaussians, first + i, ranges, failed_only=True) for i in range(BATCH)]
+    if reference:
+        starts = [replace(start, task=with_solver(start.task, REFERENCE)) for start in starts]
     taught = demonstrate(starts, rig, teacher, RecoverySettings(), first, settings=ALONE)
     trials = try_student(starts, rig, student, RecoverySettings(), first)
     return [(bool(s), t.success, t.stopped) for s, t in zip(taught, trials, strict=True) if t is not None]
@@ -82,11 +86,13 @@ def main() -> None:
     parser.add_argument("library", type=Path, nargs="+")
     parser.add_argument("--worlds", type=int, default=200)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--physics", choices=["shipped", "reference"], default="shipped")
     args = parser.parse_args()
+    reference = args.physics == "reference"
     for path in args.library:
         result: dict[str, object] = {"library": load_library(path).content_hash[:12]}
         for looks in ("usual", "unseen"):
-            jobs = [(looks, FRESH + i) for i in range(0, args.worlds, BATCH)]
+            jobs = [(looks, FRESH + i, reference) for i in range(0, args.worlds, BATCH)]
             found = [row for rows in parallel_map(_both, jobs, partial(_context, path), args.workers) for row in rows]
             taught, learned, said = (sum(column) for column in zip(*found, strict=True))
             low, high = wilson(learned, len(found))

@@ -1,6 +1,6 @@
 """How often the learned recovery, followed by the real skill that had failed, succeeds in fresh randomised worlds.
 
-python tests/benchmarks/recovery_success.py RUN_FOLDER [--worlds 200] [--workers 2]
+python tests/benchmarks/recovery_success.py RUN_FOLDER [--worlds 200] [--workers 2] [--physics reference]
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from resync_robot.evaluation_report import wilson
 from resync_robot.run_folder import RunFolder
 from resync_robot.stages import PRESETS, check_recovery, mine
 from sim_training.domains import find_domain
+from sim_training.solver import REFERENCE
 
 FRESH = 900_000_000
 """First world seed; training seeds stay far below it."""
@@ -24,13 +25,15 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--worlds", type=int, default=200)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--physics", choices=["shipped", "reference"], default="shipped")
     args = parser.parse_args()
+    solver = REFERENCE if args.physics == "reference" else None
     library = load_library(args.run / "library")
     domain = find_domain(library.domain)
     quiet = lambda share, figure: None  # noqa: E731
     mined = mine(domain, RunFolder(args.run), PRESETS["quick"], 0, 1, quiet)
     found = check_recovery(
-        domain, load_rig(), mined, library.skills[domain.recovery], FRESH, args.worlds, args.workers, quiet
+        domain, load_rig(), mined, library.skills[domain.recovery], FRESH, args.worlds, args.workers, quiet, solver
     )
     low, high = wilson(found["picked"], found["worlds"])
     rate = f"{found['picked']} of {found['worlds']} recovered and then picked"

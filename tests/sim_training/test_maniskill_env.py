@@ -19,6 +19,7 @@ from sim_training.domains import find_domain
 from sim_training.maniskill_env import ENVIRONMENT, CorneredInsertionEnv, ManiSkillScenes
 from sim_training.ppo import DEVICE_SCENES, PpoSettings, RecoveryEnv, scaled_to_device, train_recovery
 from sim_training.recovery import FailedWorlds, RecoverySettings
+from sim_training.solver import SHIPPED
 from sim_training.vector_env import RecoveryScenes
 
 B0 = BLOCK("b0")
@@ -107,7 +108,7 @@ def test_worlds_differ_in_their_physics() -> None:
         body, joint = env._actors[B0]._bodies[0], env.agent.robot.active_joints[0]
         friction = body.collision_shapes[0].physical_material.dynamic_friction
         found.append((float(body.mass), friction, float(joint.stiffness)))
-        assert np.isclose(body.mass, task.physics["masses"]["b0"])
+        assert np.isclose(body.mass, SHIPPED.inertia * task.physics["masses"]["b0"])
         assert np.isclose(friction, task.physics["friction_block"])
         env.close()
     assert all(a != b for a, b in zip(*found, strict=True))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from resync_robot.core.rig import load_rig
-from sim_training.vector_env import RECOVERY_TORQUE, SUBSTEPS, RecoveryScenes
+from sim_training.vector_env import CONTROL_PERIOD, RECOVERY_TORQUE, RecoveryScenes
 from sim_training.world import SimWorld
 from tests import scenes
 from tests.scenes import B0
@@ -87,5 +87,5 @@ def test_it_is_the_world_that_skills_run_in() -> None:
     from resync_robot.core.joints import JointTarget
 
     for x in (0.44, 0.48, 0.52):
-        world.act(JointTarget(joints_at(np.array([x, 0.0, 0.04])), 0.0), SUBSTEPS * world.period)
+        world.act(JointTarget(joints_at(np.array([x, 0.0, 0.04])), 0.0), CONTROL_PERIOD)
     np.testing.assert_allclose(world.perceive()[B0][:3], there, atol=4e-3)
