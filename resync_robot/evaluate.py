@@ -59,8 +59,9 @@ class EvaluateConfig:
     """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
     pictures, where poses come from the camera too and the library holds a camera policy."""
 
-    worlds: Literal["usual", "unseen"] = "usual"
-    """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had."""
+    worlds: Literal["usual", "unseen", "hard"] = "usual"
+    """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had.
+    hard: usual ones under a single lamp that casts dark shadows."""
 
     rig: Path | None = None
     """The robot and cameras to simulate, a TOML file. Default: the rig that the simulation assumes."""
@@ -122,13 +123,13 @@ def evaluate(config: EvaluateConfig) -> None:
         from resync_robot.evaluate_perception import evaluate_perception
 
         usual = EvaluateConfig()
-        used = ("perception_only", "scenes", "seeds", "workers", "json", "rig")
+        used = ("perception_only", "scenes", "worlds", "seeds", "workers", "json", "rig")
         given = [
             f.name for f in fields(config) if f.name not in used and getattr(config, f.name) != getattr(usual, f.name)
         ]
         if given:
             raise ConfigError(f"--{given[0]} has no meaning with --perception-only", "leave it out")
-        return evaluate_perception(config.scenes, config.seeds, config.workers, config.json, config.rig)
+        return evaluate_perception(config.scenes, config.seeds, config.workers, config.json, config.rig, config.worlds)
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     if config.episodes < 1:
@@ -215,7 +216,7 @@ class _Context:
     domain: Domain
     rig: Rig
     perception: str
-    unseen: bool
+    worlds: str
     given: Abstraction
     methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]]
 
@@ -245,7 +246,7 @@ def _context(domain_name: str, paths: tuple[str, ...], perception: str, skills: 
         methods[i, "rc"] = given, partial(plan_f, model=with_skill, reaction=reaction)
         methods[i, "initial"] = given, partial(plan_f, model=initial)
         methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
-    return _Context(domain, rig, perception, worlds == "unseen", initial.abstraction, methods)
+    return _Context(domain, rig, perception, worlds, initial.abstraction, methods)
 
 
 def _run(context: _Context, job: Job) -> EpisodeRow:
@@ -274,7 +275,9 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
     begun = time.monotonic()
     # A scene that does not stand still is not a task; the next one takes its place.
     for attempt in range(20):
-        task = world_task(context.domain, job.scenario, job.seed, job.episode + 1_000_000 * attempt, context.unseen)
+        episode = job.episode + 1_000_000 * attempt
+        unseen, hard = context.worlds == "unseen", context.worlds == "hard"
+        task = world_task(context.domain, job.scenario, job.seed, episode, unseen, hard)
         world = SimWorld(task, context.rig)
         if is_at_rest(world):
             break

@@ -14,10 +14,16 @@ from resync_robot.perception_trial import SceneRow, run_scene
 from resync_robot.progress import Stages, say
 from resync_robot.run_folder import check_writable, git_hash, write_json
 from sim_training.parallel import parallel_map
+from sim_training.randomise import LOOKS
 
 
 def evaluate_perception(
-    scenes: int, seeds: Sequence[int], workers: int, json: Path | None, rig_file: Path | None = None
+    scenes: int,
+    seeds: Sequence[int],
+    workers: int,
+    json: Path | None,
+    rig_file: Path | None = None,
+    looks: str = "usual",
 ) -> None:
     """Scan `scenes` scenes of each seed, write a JSON file and a picture beside it where one is named, print the table.
 
@@ -26,6 +32,9 @@ def evaluate_perception(
     truths within that ellipse); `scenes`, `false_objects`, `views_median`, `seconds` (computing); `rows`, the fields of
     `perception_trial.SceneRow`; and `provenance`.
 
+    Args:
+        looks: of surfaces, light and camera, as in `sim_training.randomise.LOOKS`.
+
     Raises:
         ResyncError: bad input, or no device can render.
     """
@@ -33,10 +42,12 @@ def evaluate_perception(
         raise ConfigError(f"--scenes is {scenes}; at least one is needed")
     if not seeds or min(seeds) < 0:
         raise ConfigError(f"--seeds is {tuple(seeds)}", "give one or more whole numbers from 0 on")
+    if looks not in LOOKS:
+        raise ConfigError(f"--worlds {looks} has no meaning with --perception-only", f"give one of {', '.join(LOOKS)}")
     rig = load_rig(rig_file)
     if json:
         check_writable(json)
-    jobs = [(seed, scene) for seed in seeds for scene in range(scenes)]
+    jobs = [(seed, scene, looks) for seed in seeds for scene in range(scenes)]
     done: list[SceneRow] = []
     with Stages(("scan",)) as bars, bars.stage("scan") as progress:
         for row in parallel_map(run_scene, jobs, partial(load_rig, rig_file), workers):
@@ -51,6 +62,7 @@ def evaluate_perception(
             "rig": rig.hash,
             "seeds": list(seeds),
             "scenes": scenes,
+            "worlds": looks,
         }
         write_json(json, {"provenance": provenance, **report})
         draw_reliability(report, json.with_suffix(".png"))
