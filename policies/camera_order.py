@@ -28,7 +28,7 @@ HUE_WITHIN = 0.08
 LEAST_CHROMA, LEAST_SATURATION = 10, 0.25
 """Of a pixel that has a hue at all, the first of 255: even in a dark shadow blocks have that."""
 GRID = np.array([(a, b) for a in np.linspace(-0.8, 0.8, 5) for b in np.linspace(-0.8, 0.8, 5)])
-SURE, UNLIKE = 0.35, 0.05
+SURE, UNLIKE = 0.35, 0.2
 """Blocks that an order must find more than the given one, all pictures together, and fewer at most in any of them."""
 LEAST_POINTS = 10
 """Points of a block that a camera must see by geometry, to foretell anything of it."""

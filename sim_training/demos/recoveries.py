@@ -208,9 +208,9 @@ class RenderedRecovery:
         tip = self._rig.tip_pose(q)[:3, 3]
         return self._through(lambda camera: camera_view.window_at(camera, self._rig.camera_pose(camera, q), tip))
 
-    def overview(self) -> UInt8[np.ndarray, "v p p 3"]:
-        """The whole pictures, squeezed."""
-        return self._through(whole_picture)
+    def overview(self) -> Seen:
+        """As `see`, but the whole pictures, squeezed, of this moment."""
+        return Seen(self._through(whole_picture), self._joints(), self._tip())
 
     def _through(self, window_of: Callable[[CameraRig], Window]) -> UInt8[np.ndarray, "v p p 3"]:
         self._built.scene.update_render()

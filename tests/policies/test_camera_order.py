@@ -80,7 +80,7 @@ def test_light_turns_a_hue_only_so_far() -> None:
 def test_what_a_wall_or_another_block_hides_is_not_foretold() -> None:
     front = RIG.camera("front")
     low = front.pose.copy()
-    low[:3, 3] = 1.0, 0.0, 0.06
+    low[:3, 3] = 1.0, 0.0, 0.03
     low[:3, :3] = np.array([[0, 0, -1], [1, 0, 0], [0, -1, 0.0]])
     middle = scenes.scene({"b0": (0.0, 0.0)}).initial
     assert foretell(front, front.pose, middle, HUES) and not foretell(front, low, middle, HUES)
