@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 import sapien
 
-from sim_training.sensor import SCREEN
-
 LIT = (0.45, 0.0, 0.15)
 """m; the middle of what a shadow map covers: box, blocks and the hand above them."""
 LIT_HALF = 0.45
@@ -28,34 +26,34 @@ class Lighting:
     Attributes:
         lamps: fewest and most.
         tilt: how far the first lamp stands aside, in m for each m of height, least and most.
-        strength: of the first lamp.
-        others: of any other, as a share of the first.
+        strength: of all lamps together.
+        others: of any but the first lamp, as a share of that.
         ambient: light from everywhere, which shadows keep.
         shadows: probability that the first lamp casts any.
         texels: of a side of the shadow map; few are soft.
         tint: least of each colour in a lamp's light.
         gamma: of the camera, from 1 (values as light falls in) to 2.2 (as screens expect).
-        exposure: factor on the light that the camera takes in.
+        exposure: how light a white surface in full light becomes, of what a picture can show.
         white_balance: most relative error of each colour.
     """
 
     lamps: tuple[int, int] = (1, 3)
     tilt: tuple[float, float] = (0.0, 0.7)
-    strength: tuple[float, float] = (1.0, 1.7)
+    strength: tuple[float, float] = (1.3, 2.4)
     others: tuple[float, float] = (0.2, 0.6)
     ambient: tuple[float, float] = (0.2, 0.55)
     shadows: float = 0.5
     texels: tuple[int, ...] = (128, 256, 384)
     tint: float = 0.93
     gamma: tuple[float, float] = (1.0, 2.2)
-    exposure: tuple[float, float] = (0.8, 1.2)
+    exposure: tuple[float, float] = (0.75, 1.15)
     white_balance: float = 0.04
 
 
 TRAINED = Lighting()
 UNSEEN = Lighting(
-    tilt=(0.7, 1.0), strength=(1.6, 2.0), ambient=(0.14, 0.2), shadows=0.8, texels=(512, 768), tint=0.88,
-    exposure=(0.7, 0.8), white_balance=0.06,
+    tilt=(0.7, 1.0), strength=(2.4, 2.8), ambient=(0.14, 0.2), shadows=0.8, texels=(512, 768), tint=0.88,
+    exposure=(0.6, 0.75), white_balance=0.06,
 )  # fmt: skip
 """Beyond the edges of training: lower and stronger lamps, sharper shadows, stronger tints, darker pictures."""
 HARD = Lighting(
@@ -67,11 +65,14 @@ HARD = Lighting(
 def draw_lighting(rng: np.random.Generator, ranges: Lighting) -> dict[str, Any]:
     """`light` and `camera` of a world, as plain data."""
     count = int(rng.integers(ranges.lamps[0], ranges.lamps[1] + 1))
-    strength = float(rng.uniform(*ranges.strength))
+    total, ambient = float(rng.uniform(*ranges.strength)), float(rng.uniform(*ranges.ambient))
+    # Cameras set themselves to the light, or else coloured blocks would burn out and lose their hue. What they would
+    # take in is all that is rendered, for a picture that was burnt out cannot be mended afterwards.
+    exposed = float(rng.uniform(*ranges.exposure)) / (ambient + total / np.pi)
+    shares = np.array([1.0, *rng.uniform(*ranges.others, count - 1)])
     lamps = []
-    for i in range(count):
+    for i, level in enumerate(exposed * total * shares / shares.sum()):
         aside, heading = rng.uniform(*ranges.tilt) if i == 0 else rng.uniform(0.0, 1.0), rng.uniform(-np.pi, np.pi)
-        level = strength if i == 0 else strength * float(rng.uniform(*ranges.others))
         lamps.append(
             {
                 "direction": (float(aside * np.cos(heading)), float(aside * np.sin(heading)), -1.0),
@@ -79,14 +80,10 @@ def draw_lighting(rng: np.random.Generator, ranges: Lighting) -> dict[str, Any]:
             }
         )
     texels = int(rng.choice(ranges.texels)) if rng.random() < ranges.shadows else 0
-    gamma = float(rng.uniform(*ranges.gamma))
-    # A camera opens up where it would make middle tones darker: half of what that would take.
-    opened = 0.45 ** ((gamma - SCREEN) / 2)
     return {
-        "light": {"ambient": float(rng.uniform(*ranges.ambient)), "lamps": lamps, "texels": texels},
+        "light": {"ambient": exposed * ambient, "lamps": lamps, "texels": texels},
         "camera": {
-            "gamma": gamma,
-            "exposure": float(opened * rng.uniform(*ranges.exposure)),
+            "gamma": float(rng.uniform(*ranges.gamma)),
             "white_balance": tuple(float(c) for c in 1 + ranges.white_balance * rng.uniform(-1, 1, 3)),
         },
     }

@@ -32,12 +32,10 @@ class Tone:
 
     Attributes:
         gamma: 1 gives values as light falls in, 2.2 as screens expect them.
-        exposure: factor on the light.
         white_balance: (3,) factors on red, green and blue light.
     """
 
     gamma: float = SCREEN
-    exposure: float = 1.0
     white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @staticmethod
@@ -47,7 +45,7 @@ class Tone:
 
     @cached_property
     def _table(self) -> UInt8[np.ndarray, "256 1 3"]:
-        light = (np.arange(256)[:, None] / 255) ** SCREEN * self.exposure * np.array(self.white_balance)
+        light = (np.arange(256)[:, None] / 255) ** SCREEN * np.array(self.white_balance)
         return np.round(255 * np.clip(light, 0, 1) ** (1 / self.gamma)).astype(np.uint8)[:, None]
 
     def apply(self, colour: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from resync_robot.core.rig import load_rig
 from sim_training.domains import find_domain, world_task
+from sim_training.lights import HARD, TRAINED, UNSEEN, draw_lighting
 from sim_training.world import SimWorld
 from tests import scenes
 
@@ -30,10 +31,18 @@ def test_a_lamp_casts_dark_shadows_that_are_soft_where_its_map_is_coarse() -> No
     assert between[1] > 1.5 * between[0]
 
 
+def test_no_light_burns_a_picture_out() -> None:
+    for ranges in (TRAINED, UNSEEN, HARD):
+        for seed in range(40):
+            light = draw_lighting(np.random.default_rng(seed), ranges)["light"]
+            # What falls on a white surface that faces all lamps.
+            assert light["ambient"] + sum(max(lamp["colour"]) for lamp in light["lamps"]) / np.pi < 1.2
+
+
 def test_hard_light_changes_nothing_but_light_and_camera() -> None:
     domain = find_domain("cornered-insertion-s")
     usual, hard = (world_task(domain, "s1", 3, 0, hard_light=h) for h in (False, True))
     assert usual.initial == hard.initial
     changed = {k for k in usual.physics if usual.physics[k] != hard.physics[k]}
-    assert changed == {"light", "camera"} and hard.physics["light"]["ambient"] < usual.physics["light"]["ambient"]
+    assert changed == {"light", "camera"} and hard.physics["light"]["texels"] == 1024
     assert hard == world_task(domain, "s1", 3, 0, hard_light=True)

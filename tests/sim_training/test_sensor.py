@@ -129,10 +129,9 @@ def test_a_camera_as_a_world_has_it_when_nothing_is_said_leaves_colours_alone() 
     np.testing.assert_array_equal(Tone.of({}).apply(picture), picture)
 
 
-def test_gamma_darkens_middle_tones_exposure_lightens_and_white_balance_tints() -> None:
+def test_gamma_darkens_middle_tones_and_white_balance_tints() -> None:
     grey = np.full((2, 2, 3), 110, dtype=np.uint8)
-    dark, light = Tone(gamma=1.0).apply(grey), Tone(exposure=1.5).apply(grey)
-    assert dark.max() < 60 and light.min() > 125
+    assert Tone(gamma=1.0).apply(grey).max() < 60
     assert Tone(gamma=1.0).apply(np.full((1, 1, 3), 255, np.uint8)).min() == 255, "white stays"
     red, green, _ = Tone(white_balance=(1.1, 1.0, 0.9)).apply(grey)[0, 0].astype(int)
     assert red > green == 110
