@@ -2,19 +2,20 @@
 
 The policy thinks on a thread of its own while the step before is carried out, so the stream of targets never waits
 for it. A monitor looks at the same pictures and predictions, and ends the skill where they make no sense: the planner
-then looks around and plans anew.
+then looks around and plans anew. Before the policy begins, one look at whole pictures tells whether cameras were
+exchanged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from itertools import permutations
 
 import numpy as np
 import torch
 
+from policies import camera_order
 from policies.cartesian import Blocked, Hand, Motion, run_motion
 from policies.footing import Footing, press_on
 from policies.grasp import travel_height
@@ -45,7 +46,6 @@ from resync_robot.learning.recovery_policy import project, within_reach
 ATTEMPT = RecoverySkillSettings(max_decisions=60)
 """Most recoveries take 2 to 4 s. What has not worked in 6 is better begun again after another scan, which knows the
 block to a millimetre where pictures on the way do not."""
-LEAST_SURE = 0.02
 ASIDE = 0.004
 """m beside the block's middle at which an attempt may begin; demonstrations begin up to 6 mm beside it."""
 OVER_STEP = 0.015
@@ -62,11 +62,6 @@ class MonitorSettings:
     """Times in a row that a camera may give the very same picture; noise makes any two differ."""
     late: float = 0.25
     """Age of a picture; training has pictures that are up to 0.1 s old."""
-    exchanged: float = 10.0
-    exchanged_each: float = 2.0
-    """Log-odds, summed over the pictures so far and on the average of them, beyond which cameras are believed to be
-    exchanged: in unseen worlds never in 30 recoveries with the right order, and in 86 of 90 with exchanged ones. The
-    sum alone grows with every picture of a world that looks odd to all cameras."""
     largest_step: float = 0.035
     """Of the hand in 0.1 s: training never sees more than 0.02 along an axis."""
     stall_decisions: int = 30
@@ -86,8 +81,12 @@ def camera_recovery_skill(
     rig: Rig,
     settings: RecoverySkillSettings | None = None,
     monitor: MonitorSettings | None = None,
+    hues: Mapping[str, float] | None = None,
 ) -> Skill:
     """A recovery over (robot, block, box) that follows its block by camera.
+
+    Args:
+        hues: of blocks by name, in [0, 1), by which exchanged cameras are found; without any they are not.
 
     Raises:
         UnknownNameError: the rig lacks a camera that the policy looks through.
@@ -98,7 +97,7 @@ def camera_recovery_skill(
     return Skill(
         name,
         (ROBOT, BLOCK, BOX),
-        lambda objects, first: run_motion(_recover(objects, first, rig, policy, s, m), first),
+        lambda objects, first: run_motion(_recover(objects, first, rig, policy, s, m, hues or {}), first),
         RATE_HZ,
         time_limit_s=45,
         effort_limit=s.effort_limit,
@@ -116,6 +115,7 @@ def _recover(
     policy: CameraPolicy,
     s: RecoverySkillSettings,
     m: MonitorSettings,
+    hues: Mapping[str, float],
 ) -> Motion:
     robot, block, box = objects
     hand = Hand(rig, first, 1.0 / RATE_HZ, stray=np.inf)
@@ -127,6 +127,7 @@ def _recover(
         refused = yield from approach(hand, first.state, block, box, above, s, (float(aside[0]), float(aside[1])))
         if refused is not None:
             return refused
+        _check_order(hand.last, rig, hues)
         with ThreadPoolExecutor(1, "camera-policy") as thread:
             finished = yield from _drive(hand, (robot, block, box), rig, policy, thread, s, m)
         yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
@@ -225,8 +226,6 @@ class Watch:
     _tips: list[np.ndarray] = field(default_factory=list)
     _lost: int = 0
     _leaning: int = 0
-    _pictures: int = 0
-    _seen_as: np.ndarray = field(default_factory=lambda: np.zeros((len(VIEWS), len(VIEWS))))
 
     def picture(self, cutout: Cutout, now: float) -> None:
         m = self.settings
@@ -246,7 +245,6 @@ class Watch:
         m = self.settings
         if not all(np.all(np.isfinite(part)) for part in (p.steps, p.done, p.block)):
             raise Stopped("the policy gives numbers that are none")
-        self._order(p.views[0])
         lean = float(np.hypot(*p.block[0, LEAN]))
         self._leaning = self._leaning + 1 if lean > m.leaning else 0
         if self._leaning >= m.leaning_in_a_row:
@@ -255,21 +253,6 @@ class Watch:
         self._lost = self._lost + 1 if away > m.lost else 0
         if self._lost >= m.lost_in_a_row:
             raise Stopped(f"the block is not beneath the hand any more, but {1000 * away:.0f} mm beside it")
-
-    def _order(self, views: np.ndarray) -> None:
-        # No single picture may decide: each counts for a factor of 50 at most.
-        self._pictures += 1
-        self._seen_as = self._seen_as + np.log(np.clip(views, LEAST_SURE, 1.0))
-        right, *others = permutations(range(len(VIEWS)))
-        support = {order: float(self._seen_as[right, order].sum()) for order in (right, *others)}
-        best = max(others, key=support.__getitem__)
-        m = self.settings
-        asked = max(m.exchanged, m.exchanged_each * self._pictures)
-        # An exchange shows in every camera that takes part; one alone that looks odd is something else.
-        agree = all(self._seen_as[i, j] >= self._seen_as[i, i] for i, j in enumerate(best))
-        if agree and support[best] - support[right] > asked:
-            i = next(i for i, j in enumerate(best) if i != j)
-            raise Stopped(f"the pictures of camera '{VIEWS[i]}' look like those of '{VIEWS[best[i]]}'")
 
     def step(self, step: np.ndarray) -> np.ndarray:
         largest = float(np.abs(step).max())
@@ -300,6 +283,19 @@ def _observe(
         watch.picture(cutout, seen.time)
         pictures.append(cutout.colour)
     return np.stack(pictures), state_seen(seen.arm, tip, goal, hand.yaw, scanned)
+
+
+def _check_order(seen: Observation, rig: Rig, hues: Mapping[str, float]) -> None:
+    """Raises Stopped where the pictures of some cameras are explained by the places of others."""
+    if seen.look is None:
+        raise Stopped("there is no camera to look through")
+    cameras = [rig.camera(view) for view in VIEWS]
+    pictures = np.stack([seen.look(c.name, camera_order.whole(c), camera_order.SIZE).colour for c in cameras])
+    foretold = [camera_order.foretell(c, rig.camera_pose(c, seen.arm), seen.state, hues) for c in cameras]
+    order = camera_order.exchanged(camera_order.support(pictures, foretold))
+    if order is not None:
+        i = next(i for i, j in enumerate(order) if i != j)
+        raise Stopped(f"the pictures of camera '{VIEWS[i]}' show what '{VIEWS[order[i]]}' must see")
 
 
 def _reach(hand: Hand, objects: tuple[Object, Object, Object], wanted: np.ndarray) -> np.ndarray:

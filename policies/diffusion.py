@@ -3,7 +3,7 @@
 On disk it is a folder that stock LeRobot opens (config, weights, both processors), and two files of our own:
 
     config.json model.safetensors policy_preprocessor.json policy_postprocessor.json *.safetensors   LeRobot's
-    heads.safetensors      done, where the block is, which camera a picture is from
+    heads.safetensors      done, where the block is
     resync.json            version, horizon, the cameras that it was trained for
 
 LeRobot's import takes 20 s, so this module is imported only where a camera policy is trained or run.
@@ -117,13 +117,10 @@ def make_config(s: DiffusionSettings, device: str) -> DiffusionConfig:
 class Heads(nn.Module):
     """What else can be read from the features that the diffusion is conditioned on."""
 
-    def __init__(self, features: int, per_view: int) -> None:
+    def __init__(self, features: int) -> None:
         super().__init__()
         self.done = nn.Sequential(nn.Linear(features, 64), nn.ReLU(), nn.Linear(64, 1))
         self.block = nn.Sequential(nn.Linear(features, 64), nn.ReLU(), nn.Linear(64, len(BLOCK_NAMES)))
-        self.view = nn.ModuleList(
-            nn.Sequential(nn.Linear(per_view, 32), nn.ReLU(), nn.Linear(32, len(VIEWS))) for _ in VIEWS
-        )
 
 
 class DiffusionStudent(nn.Module):
@@ -160,7 +157,7 @@ class DiffusionStudent(nn.Module):
         tensors = {k: {n: torch.as_tensor(v, dtype=torch.float32) for n, v in d.items()} for k, d in statistics.items()}
         pre, post = make_pre_post_processors(config, dataset_stats=tensors)
         policy = DiffusionPolicy(config)
-        return DiffusionStudent(policy, pre, post, Heads(*_feature_sizes(policy))).to(device)
+        return DiffusionStudent(policy, pre, post, Heads(_features(policy))).to(device)
 
     @property
     def picture(self) -> int:
@@ -189,11 +186,6 @@ class DiffusionStudent(nn.Module):
             {STATE: batch[STATE][:, None], "observation.images": images[:, None]}
         )
 
-    def view_logits(self, features: Tensor) -> Tensor:
-        """(n, views, views): which camera each picture seems to come from."""
-        per_view = features[:, len(STATE_NAMES) :].unflatten(1, (len(VIEWS), -1))
-        return torch.stack([head(per_view[:, i]) for i, head in enumerate(self.heads.view)], dim=1)
-
     @torch.no_grad()
     def __call__(self, pictures: UInt8[np.ndarray, "n v p p 3"], state: Float[np.ndarray, "n s"]) -> Prediction:
         """The most likely chunk: the diffusion starts from no noise, so the same picture gives the same motion."""
@@ -207,7 +199,6 @@ class DiffusionStudent(nn.Module):
             steps.cpu().numpy().astype(np.float64),
             torch.sigmoid(self.heads.done(features))[:, 0].cpu().numpy(),
             BLOCK_MEAN + BLOCK_SPREAD * self.heads.block(features).cpu().numpy(),
-            self.view_logits(features).softmax(-1).cpu().numpy(),
         )
 
     def save(self, folder: Path, rig: Rig) -> None:
@@ -253,8 +244,10 @@ def load_student(folder: Path, rig: Rig | None = None, device: str = "cpu") -> D
             policy.config, pretrained_path=str(folder), preprocessor_overrides=overrides
         )
         _check_statistics(folder, pre)
-        heads = Heads(*_feature_sizes(policy))
-        heads.load_state_dict(load_file(folder / "heads.safetensors"))
+        heads = Heads(_features(policy))
+        # Older policies have a head more, which told cameras apart; geometry does so now.
+        stored = load_file(folder / "heads.safetensors").items()
+        heads.load_state_dict({name: values for name, values in stored if not name.startswith("view.")})
     except PolicyError:
         raise
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError, TypeError, AttributeError) as error:
@@ -291,6 +284,5 @@ def _check_statistics(folder: Path, pre: Any) -> None:
         raise PolicyError(f"the camera policy in {folder} has no normalisation statistics of {missing[0]}", RETRAIN)
 
 
-def _feature_sizes(policy: DiffusionPolicy) -> tuple[int, int]:
-    per_view = int(policy.diffusion.rgb_encoder[0].feature_dim)
-    return len(STATE_NAMES) + per_view * len(VIEWS), per_view
+def _features(policy: DiffusionPolicy) -> int:
+    return len(STATE_NAMES) + int(policy.diffusion.rgb_encoder[0].feature_dim) * len(VIEWS)

@@ -22,11 +22,8 @@ from torch import Tensor
 from policies.diffusion import ACTION, IMAGES, STATE, DiffusionStudent
 from resync_robot.core.damage import reading
 from resync_robot.core.files import whole
-from resync_robot.learning.camera_view import BLOCK_MEAN, BLOCK_SPREAD, STATE_NAMES, VIEWS
+from resync_robot.learning.camera_view import BLOCK_MEAN, BLOCK_SPREAD, STATE_NAMES
 from resync_robot.learning.demonstrations import Demonstrations
-
-EXCHANGED = 4
-"""One in so many samples of a batch has its pictures exchanged among the cameras, for the view heads alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +42,6 @@ class DistilSettings:
     """Noise of a pixel, of 1, on top of the camera's own."""
     done_weight: float = 0.1
     block_weight: float = 0.3
-    view_weight: float = 0.1
     bf16: bool = False
     """Compute in bfloat16 where that loses nothing: half the time, on machines that have it (`has_bf16`)."""
 
@@ -196,26 +192,11 @@ class Trainer:
         predicted = diffusion.unet(scheduler.add_noise(clean, noise, level), level, global_cond=features)
         valid = batch["valid"][..., None].expand_as(clean)
         heads = self.student.heads
-        view = self._view_loss(batch["pictures"], batch["state"])
         return {
             "action": ((predicted - clean) ** 2 * valid).sum() / valid.sum().clamp(min=1),
             "done": s.done_weight * F.binary_cross_entropy_with_logits(heads.done(features)[:, 0], batch["done"]),
             "block": s.block_weight * F.mse_loss(heads.block(features), batch["block"]),
-            "view": s.view_weight * view,
         }
-
-    def _view_loss(self, pictures: Tensor, state: Tensor) -> Tensor:
-        """How badly the view heads tell which camera a picture is from, pictures exchanged among the cameras.
-
-        In their own places alone they would learn to answer without looking. They read the features and do not shape
-        them: what drives the hand need not know of cameras.
-        """
-        some = pictures[: max(1, len(pictures) // EXCHANGED)]
-        order = torch.rand(len(some), len(VIEWS), generator=self._torch_rng, device=some.device).argsort(1)
-        with torch.no_grad():
-            exchanged = some[torch.arange(len(some), device=some.device)[:, None], order]
-            features = self.student.features(exchanged, state[: len(some)])
-        return F.cross_entropy(self.student.view_logits(features).flatten(0, 1), order.flatten())
 
     def _normalised(self, chunk: Tensor) -> Tensor:
         return self.student.pre({ACTION: chunk, STATE: torch.zeros(len(chunk), len(STATE_NAMES), device=chunk.device)})[

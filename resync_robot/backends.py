@@ -28,7 +28,7 @@ from resync_robot.core.task import Task
 from resync_robot.core.world import CameraFrame, Cutout, Window
 from sim_training.mine import is_at_rest
 from sim_training.motion import Motion, camera_motion
-from sim_training.sensor import NoisySensor
+from sim_training.sensor import NoisySensor, Tone
 from sim_training.world import SimWorld
 
 _log = logging.getLogger(__name__)
@@ -206,7 +206,7 @@ class _Simulated(AbstractContextManager[SimulatedDevices]):
         robot = self._stack.enter_context(SimRobot(world))
         cameras: dict[str, Camera] = {}
         for i, camera in enumerate(self._rig.cameras):
-            sensor = NoisySensor(self._task.seed * 10 + i, camera)
+            sensor = NoisySensor(self._task.seed * 10 + i, camera, tone=Tone.of(self._task.physics))
             device = NoisyCamera(SimCamera(world, camera.name), sensor, partial(self._motion, world, camera.name))
             cameras[camera.name] = self._stack.enter_context(device)
         return SimulatedDevices(robot, cameras, lambda: world.time, world.perceive)

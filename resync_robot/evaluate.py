@@ -62,9 +62,9 @@ class EvaluateConfig:
     """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
     pictures, where poses come from the camera too and the library holds a camera policy."""
 
-    worlds: Literal["usual", "unseen", "reference"] = "usual"
+    worlds: Literal["usual", "unseen", "hard", "reference"] = "usual"
     """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had.
-    reference: the usual worlds with --physics reference."""
+    hard: usual ones under a single lamp that casts dark shadows. reference: usual ones with --physics reference."""
 
     physics: Literal["shipped", "reference"] = "shipped"
     """reference: contacts solved much more finely, at over ten times the price: the yardstick of the shipped ones."""
@@ -138,13 +138,15 @@ def evaluate(config: EvaluateConfig) -> None:
         from resync_robot.evaluate_perception import evaluate_perception
 
         usual = EvaluateConfig()
-        used = ("perception_only", "scenes", "seeds", "workers", "json", "resume", "rig")
+        used = ("perception_only", "scenes", "worlds", "seeds", "workers", "json", "resume", "rig")
         given = [
             f.name for f in fields(config) if f.name not in used and getattr(config, f.name) != getattr(usual, f.name)
         ]
         if given:
             raise ConfigError(f"--{given[0]} has no meaning with --perception-only", "leave it out")
-        return evaluate_perception(config.scenes, config.seeds, config.workers, config.json, config.rig, config.resume)
+        return evaluate_perception(
+            config.scenes, config.seeds, config.workers, config.json, config.rig, config.resume, config.worlds
+        )
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     if not 1 <= config.episodes <= MOST_EPISODES:
@@ -191,7 +193,7 @@ def evaluate(config: EvaluateConfig) -> None:
         report=lambda rows: report(rows, domain, hashes),
         parse=_parse,
     )
-    drawn = (config.worlds == "unseen", physics == "reference")
+    drawn = (config.worlds, physics == "reference")
     context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, *drawn, rig)
     # Written before the table, so that it is kept where nobody reads that.
     with file.open(config.resume), Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
@@ -252,14 +254,14 @@ class _Context:
     domain: Domain
     rig: Rig
     perception: str
-    unseen: bool
+    worlds: str
     solver: Solver
     given: Model
     methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]]
 
 
 def _context(
-    domain_name: str, paths: tuple[str, ...], perception: str, skills: str, unseen: bool, reference: bool, rig: Rig
+    domain_name: str, paths: tuple[str, ...], perception: str, skills: str, worlds: str, reference: bool, rig: Rig
 ) -> _Context:
     from resync_robot.baselines.human_sequence import run_human_sequence
     from resync_robot.baselines.recovery_chaining import RecoveryChaining
@@ -287,7 +289,7 @@ def _context(
         methods[i, "initial"] = given, partial(plan_f, model=initial)
         methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
     solver = REFERENCE if reference else SHIPPED
-    return _Context(domain, rig, perception, unseen, solver, initial, methods)
+    return _Context(domain, rig, perception, worlds, solver, initial, methods)
 
 
 def _run(context: _Context, job: Job) -> EpisodeRow:
@@ -319,7 +321,7 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
     # one takes its place.
     for attempt in range(20):
         episode = job.episode + MOST_EPISODES * attempt
-        task = world_task(context.domain, job.scenario, job.seed, episode, context.unseen, context.solver)
+        task = world_task(context.domain, job.scenario, job.seed, episode, context.worlds, context.solver)
         world = SimWorld(task, context.rig)
         if is_at_rest(world) and begin_after(world, context.given, before, task.objects):
             break

@@ -18,6 +18,7 @@ from resync_robot.progress import Stages, say
 from resync_robot.result_file import ResultFile
 from resync_robot.run_folder import git_hash
 from sim_training.parallel import parallel_map
+from sim_training.randomise import LOOKS
 
 
 def evaluate_perception(
@@ -27,6 +28,7 @@ def evaluate_perception(
     json: Path | None,
     rig_file: Path | None = None,
     resume: bool = False,
+    looks: str = "usual",
 ) -> None:
     """Scan `scenes` scenes of each seed, write a JSON file and a picture beside it where one is named, print the table.
 
@@ -35,21 +37,26 @@ def evaluate_perception(
     truths within that ellipse); `scenes`, `false_objects`, `views_median`, `seconds` (computing); `rows`, the fields of
     `perception_trial.SceneRow`; and `provenance`.
 
+    Args:
+        looks: of surfaces, light and camera, as in `sim_training.randomise.LOOKS`.
+
     Raises:
         ResyncError: bad input, or no device can render.
     """
     if not 1 <= scenes <= MOST_SCENES:
         raise ConfigError(f"--scenes is {scenes}; allowed: 1 to {MOST_SCENES}")
+    if looks not in LOOKS:
+        raise ConfigError(f"--worlds {looks} has no meaning with --perception-only", f"give one of {', '.join(LOOKS)}")
     rig, seeds = load_rig(rig_file), count_once("seed", seeds)
-    jobs = [(seed, scene) for seed in seeds for scene in range(scenes)]
+    jobs = [(seed, scene, looks) for seed in seeds for scene in range(scenes)]
     file = ResultFile(
         path=json,
         jobs=jobs,
         rows="rows",
-        settings={"version": __version__, "git": git_hash(), "rig": rig.hash},
+        settings={"version": __version__, "git": git_hash(), "rig": rig.hash, "worlds": looks},
         more={"seeds": list(seeds), "scenes": scenes},
         report=perception_report,
-        parse=_parse,
+        parse=partial(_parse, looks),
     )
     with file.open(resume), Stages(("scan",)) as bars, bars.stage("scan") as progress:
         todo = file.todo
@@ -64,9 +71,9 @@ def evaluate_perception(
     say(perception_table(report))
 
 
-def _parse(entry: Any) -> tuple[tuple[int, int], SceneRow]:
+def _parse(looks: str, entry: Any) -> tuple[tuple[int, int, str], SceneRow]:
     """A row of a file that an earlier evaluation left. Raises KeyError, TypeError or ValueError."""
     check_shape(entry, SCENE)
     objects = tuple(ObjectRow(**o) for o in entry["objects"])
     row = SceneRow(**{**entry, "objects": objects, "seconds": tuple(entry["seconds"])})
-    return (row.seed, row.scene), row
+    return (row.seed, row.scene, looks), row

@@ -61,6 +61,7 @@ def camera_recovery(domain: Domain, rig: Rig, library: Library) -> Skill:
             f"the library holds no camera policy for '{domain.recovery}'",
             "train one: resync-robot train-sim, or run with --skills state",
         )
+    from perception.objects import catalogue_of
     from policies.camera_recovery import camera_recovery_skill
     from policies.diffusion import load_student
 
@@ -69,7 +70,7 @@ def camera_recovery(domain: Domain, rig: Rig, library: Library) -> Skill:
         for name, data in library.policies[domain.recovery].items():
             (Path(folder) / name).write_bytes(data)
         student = load_student(Path(folder), rig)
-    return camera_recovery_skill(domain.recovery, student, rig)
+    return camera_recovery_skill(domain.recovery, student, rig, hues=catalogue_of(rig).hues)
 
 
 def learned_model(domain: Domain, rig: Rig, library: Library, recovery: Skill | None = None) -> Model:

@@ -26,7 +26,8 @@ from resync_robot.core.vocabulary import BLOCK
 from sim_training.domains.layouts import THE_BOX, R
 from sim_training.mine import is_at_rest
 from sim_training.perception_scenes import SINGLES, TWIN, PerceptionScene, draw_scene
-from sim_training.sensor import NoisySensor
+from sim_training.randomise import LOOKS
+from sim_training.sensor import NoisySensor, Tone
 from sim_training.world import SimWorld
 
 BOX_CONDITION, HOLDING = "the box", "while one is held"
@@ -102,25 +103,26 @@ class SceneRow:
     complaint: str
 
 
-def run_scene(rig: Rig, number: tuple[int, int]) -> SceneRow:
-    """Build, render, spoil, scan once, estimate and compare the scene of that (seed, index).
+def run_scene(rig: Rig, job: tuple[int, int, str]) -> SceneRow:
+    """Build, render, spoil, scan once, estimate and compare the scene of that (seed, index, looks).
 
     Raises:
         RenderError: no device can render.
     """
-    seed, index = number
+    seed, index, looks = job
     # A scene that does not stand still has no truth to compare with; the next one takes its place.
     for attempt in range(20):
-        drawn = draw_scene(seed, index + MOST_SCENES * attempt)
+        drawn = draw_scene(seed, index + MOST_SCENES * attempt, LOOKS[looks])
         world = SimWorld(drawn.task, rig, rendered=True)
         if is_at_rest(world):
             break
-    trial = _Trial(rig, drawn, world, NoisySensor(index + 1000 * seed, rig.camera("wrist")))
-    rounds = [trial.look(number)]
+    sensor = NoisySensor(index + 1000 * seed, rig.camera("wrist"), tone=Tone.of(drawn.task.physics))
+    trial = _Trial(rig, drawn, world, sensor)
+    rounds = [trial.look((seed, index))]
     lifted = _can_be_lifted(drawn)
     if index % HELD_EVERY == 0 and lifted is not None:
         trial.hold(lifted)
-        rounds.append(trial.look(number))
+        rounds.append(trial.look((seed, index)))
     return SceneRow(
         seed=seed,
         scene=index,

@@ -19,7 +19,7 @@ from sim_training.calibration_scene import Bench, CalibrationWorld, displaced
 from sim_training.domains import find_domain, world_task
 from sim_training.motion import camera_motion
 from sim_training.scene import place_camera
-from sim_training.sensor import NoisySensor
+from sim_training.sensor import NoisySensor, Tone
 from sim_training.world import SimWorld
 
 MAX_WINDOW_PX = 1024
@@ -36,7 +36,10 @@ class Pictures:
         if "scene" in request:
             task, self._world = self._lay_out(request["scene"])
             self._rng = np.random.default_rng(task.seed)
-            self._sensors = {c.name: NoisySensor(task.seed * 10 + i, c) for i, c in enumerate(self._rig.cameras)}
+            tone = Tone.of(task.physics)
+            self._sensors = {
+                c.name: NoisySensor(task.seed * 10 + i, c, tone=tone) for i, c in enumerate(self._rig.cameras)
+            }
             self._errors: dict[str, np.ndarray] = {}
             # The first picture of a process takes half a minute where the processor draws: no robot shall wait for it.
             self._world.render(self._rig.cameras[0].name)

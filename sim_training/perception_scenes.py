@@ -25,7 +25,7 @@ from sim_training.domains.layouts import (
     wall_pose,
 )
 from sim_training.parts import CLEARANCE
-from sim_training.randomise import BLOCK_HUES, PICTURED, draw_physics
+from sim_training.randomise import BLOCK_HUES, PICTURED, Ranges, draw_physics
 
 TWIN = "b4"
 """A block of the same colour as another one."""
@@ -52,7 +52,7 @@ class PerceptionScene:
     hues: Mapping[str, float]
 
 
-def draw_scene(seed: int, index: int) -> PerceptionScene:
+def draw_scene(seed: int, index: int, ranges: Ranges = PICTURED) -> PerceptionScene:
     """The scene of that number: two to five blocks, box, light and surfaces, a pure function of its arguments."""
     rng = np.random.default_rng([seed, index, 40])
     names, twin_of = _draw_names(rng)
@@ -67,7 +67,7 @@ def draw_scene(seed: int, index: int) -> PerceptionScene:
     features = {BLOCK(name): placed[name] for name in sorted(placed)}
     features |= {THE_BOX: box, R: np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, rig.gripper.max_opening])}
     state = State(features)
-    physics = draw_physics(rng, names, PICTURED)
+    physics = draw_physics(rng, names, ranges)
     hues = {name: BLOCK_HUES[twin_of if name == TWIN else name] for name in names}
     if TWIN in names:
         hue = (hues[TWIN] + rng.uniform(-0.02, 0.02)) % 1.0

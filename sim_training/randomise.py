@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sim_training import textures
+from sim_training import lights, textures
+from sim_training.lights import Lighting, draw_lighting
 from sim_training.solver import MOST_ITERATIONS, SHIPPED, Solver
 
 BLOCK_HUES = {"b0": 0.00, "b1": 0.60, "b2": 0.14, "b3": 0.36}
@@ -27,14 +28,14 @@ class Ranges:
         beyond: 0 draws between the edges that are written at each quantity. Above, it draws outside them on either
             side, up to this share of the edge: worlds like none in training.
         surfaces: kinds of surfaces of table and box; none: they are plain.
-        light_gain: factors on the strength of lights.
+        lighting: of lamps, shadows and the camera's settings.
     """
 
     edges: bool = False
     solver: bool = False
     beyond: float = 0.0
     surfaces: tuple[str, ...] = ()
-    light_gain: tuple[float, float] = (1.0, 1.0)
+    lighting: Lighting = lights.TRAINED
 
     def draw(self, rng: np.random.Generator, low: float, high: float) -> float:
         """One value between the edges, or outside them."""
@@ -50,10 +51,14 @@ class Ranges:
 USUAL = Ranges()
 PRACTICE = Ranges(edges=True, solver=True)
 """What training draws."""
-PICTURED = Ranges(edges=True, solver=True, surfaces=textures.TRAINED, light_gain=(0.8, 1.2))
+PICTURED = Ranges(edges=True, solver=True, surfaces=textures.TRAINED)
 """What camera policies learn from."""
-UNSEEN = Ranges(beyond=0.10, surfaces=textures.UNSEEN, light_gain=(0.7, 1.3))
+UNSEEN = Ranges(beyond=0.10, surfaces=textures.UNSEEN, lighting=lights.UNSEEN)
 """Up to a tenth beyond the edges of training, with surfaces and lights that it never drew."""
+HARD = Ranges(surfaces=textures.TRAINED, lighting=lights.HARD)
+"""Between the edges of training, under a lamp that casts darker shadows than training has."""
+LOOKS = {"usual": PICTURED, "unseen": UNSEEN, "hard": HARD}
+"""What pictures are judged in, by the names that `evaluate --worlds` has for it."""
 
 
 def draw_physics(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges = USUAL) -> dict[str, Any]:
@@ -83,7 +88,7 @@ def draw_solver(rng: np.random.Generator) -> Solver:
 
 
 def draw_looks(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges = USUAL) -> dict[str, Any]:
-    """Colours near the catalogue's, surfaces, and a light."""
+    """Colours near the catalogue's, surfaces, lamps, and the settings of the camera."""
     colours = {}
     for name in blocks:
         hue = (BLOCK_HUES.get(name, 0.8) + rng.uniform(-0.02, 0.02)) % 1.0
@@ -93,16 +98,13 @@ def draw_looks(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges =
         "colours": colours,
         "box_colour": (grey, grey + 0.01, grey + 0.02),
         "table_colour": tuple(float(np.clip(c * wood, 0, 1)) for c in (0.75, 0.70, 0.62)),
-        "light": {
-            "ambient": float(rng.uniform(0.35, 0.55)),
-            "strength": float(rng.uniform(1.0, 1.7)),
-            "tint": tuple(float(c) for c in rng.uniform(0.93, 1.0, 3)),
-            "direction": (float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-0.5, 0.5)), -1.0),
-        },
     }
-    # Drawn last, and only where wanted: the usual worlds stay what they are.
-    if ranges.light_gain != (1.0, 1.0):
-        looks["light"]["strength"] *= float(rng.uniform(*ranges.light_gain))
+    # Of a generator of its own: a world keeps all else whatever its light and surfaces.
+    own = np.random.default_rng((2**32 * rng.random(7)).astype(np.uint32))
+    looks |= draw_lighting(own, ranges.lighting)
     if ranges.surfaces:
-        looks["surfaces"] = {what: textures.draw_surface(rng, ranges.surfaces) for what in ("table", "box")}
+        looks["gloss"] = float(own.uniform(0.25, 0.7))
+        looks["surfaces"] = {
+            what: textures.draw_surface(own, ranges.surfaces, shade) for what, shade in (("table", 1.0), ("box", 0.6))
+        }
     return looks

@@ -21,6 +21,7 @@ from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.core.world import Window
 from sim_training import parts, textures
+from sim_training.lights import add_lights
 from sim_training.solver import Solver, solver_of
 
 FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
@@ -65,7 +66,7 @@ def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
             cameras[camera.name] = add_camera(scene, robot, camera, camera.pose, (camera.width, camera.height))
             look_through(cameras[camera.name], camera, whole_picture(camera))
     if rendered:
-        _add_lights(scene, physics)
+        add_lights(scene, physics.get("light", {}))
     return BuiltScene(scene, robot, bodies, cameras, float(physics.get("gain", 1.0)), solver)
 
 
@@ -140,7 +141,8 @@ def _visual(
 ) -> render.RenderMaterial:
     material = render.RenderMaterial()
     if surface is not None:
-        pixels = textures.surface(**surface, colour=tuple(float(c) for c in colour[:3]))
+        colour, roughness, metallic = surface["colour"], surface["roughness"], surface["metallic"]
+        pixels = textures.surface(surface["kind"], surface["seed"], surface["contrast"], tuple(map(float, colour)))
         material.base_color_texture = render.RenderTexture2D(pixels, "R8G8B8A8Unorm")
     material.base_color = [*(float(c) for c in colour[:3]), 1.0]
     material.roughness, material.metallic, material.specular = roughness, metallic, 0.3
@@ -277,7 +279,7 @@ def add_block(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> s
     body = physx.PhysxRigidDynamicComponent()
     look = render.RenderBodyComponent() if rendered else None
     solver = solver_of(task.physics)
-    paint = _visual(colour, roughness=0.45) if rendered else None
+    paint = _visual(colour, roughness=float(task.physics.get("gloss", 0.45))) if rendered else None
     _attach_shapes(body, look, parts.block_shapes(tuple(size)), task.physics["friction_block"], solver, paint)
     # A hollow socket shifts mass and inertia little; a solid cuboid's inertia is what the blocks have.
     mass = float(task.physics["masses"][obj.name]) * solver.inertia
@@ -348,16 +350,6 @@ def whole_picture(camera: CameraRig) -> Window:
 def colour_of(component: render.RenderCameraComponent) -> np.ndarray:
     """(H, W, 3) uint8 RGB of the picture that was taken last."""
     return (np.clip(component.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
-
-
-def _add_lights(scene: sapien.Scene, physics: Mapping[str, Any]) -> None:
-    light = physics.get("light", {})
-    level = float(light.get("ambient", 0.45))
-    scene.set_ambient_light([level] * 3)
-    strength = float(light.get("strength", 1.4))
-    tint = np.asarray(light.get("tint", (1.0, 1.0, 1.0)))
-    scene.add_directional_light(light.get("direction", (0.3, 0.4, -1.0)), (tint * strength).tolist(), shadow=False)
-    scene.add_directional_light((-0.5, -0.6, -0.8), (tint * strength * 0.4).tolist(), shadow=False)
 
 
 @cache

@@ -7,7 +7,10 @@ not see those points.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +21,36 @@ from resync_robot.core.rig import CameraRig
 from resync_robot.core.sensor_noise import SensorNoise
 from resync_robot.core.world import CameraFrame
 from sim_training.motion import Motion, flow_of, smear_colour, smear_depth
+
+SCREEN = 2.2
+"""Gamma of rendered pictures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tone:
+    """How a camera is set, in a world's light; by default it leaves rendered pictures as they are.
+
+    Attributes:
+        gamma: 1 gives values as light falls in, 2.2 as screens expect them.
+        white_balance: (3,) factors on red, green and blue light.
+    """
+
+    gamma: float = SCREEN
+    white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    @staticmethod
+    def of(physics: Mapping[str, Any]) -> Tone:
+        """As a world has it."""
+        return Tone(**physics.get("camera", {}))
+
+    @cached_property
+    def _table(self) -> UInt8[np.ndarray, "256 1 3"]:
+        light = (np.arange(256)[:, None] / 255) ** SCREEN * np.array(self.white_balance)
+        return np.round(255 * np.clip(light, 0, 1) ** (1 / self.gamma)).astype(np.uint8)[:, None]
+
+    def apply(self, colour: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+        """The picture as the camera gives it."""
+        return cv2.LUT(np.ascontiguousarray(colour), self._table)
 
 
 class NoisySensor:
@@ -30,9 +63,13 @@ class NoisySensor:
         seed: same seed, same frames, same result.
         camera_rig: gives the sigmas of the pose error, a normal error of each of the three axes.
         settings: how bad the camera is; by default as the rig says.
+        tone: how it is set.
     """
 
-    def __init__(self, seed: int, camera_rig: CameraRig, settings: SensorNoise | None = None) -> None:
+    def __init__(
+        self, seed: int, camera_rig: CameraRig, settings: SensorNoise | None = None, tone: Tone | None = None
+    ) -> None:
+        self._tone = tone or Tone()
         self._rng = np.random.default_rng(seed)
         self._rig = camera_rig
         self.settings = settings or camera_rig.noise
@@ -66,7 +103,7 @@ class NoisySensor:
         s = self.settings
         gain = np.exp(self._rng.normal(0.0, s.exposure_sigma)) * np.exp(self._rng.normal(0.0, s.white_balance_sigma, 3))
         noise = self._rng.standard_normal(colour.shape, dtype=np.float32) * np.float32(s.colour_sigma)
-        return np.clip(colour * gain.astype(np.float32) + noise + 0.5, 0, 255).astype(np.uint8)
+        return np.clip(self._tone.apply(colour) * gain.astype(np.float32) + noise + 0.5, 0, 255).astype(np.uint8)
 
     def _depth(self, z: np.ndarray) -> np.ndarray:
         s, rng = self.settings, self._rng

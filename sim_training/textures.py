@@ -1,8 +1,13 @@
-"""Procedural surfaces: how light and dark vary over a table or a box. Hue stays, for blocks are told apart by it."""
+"""Procedural surfaces of wood, paint and metal: how light and dark vary over a table or a box, and how they shine.
+
+Hue stays, and is faint, for blocks are told apart by it.
+"""
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -20,6 +25,17 @@ def _smooth(rng: np.random.Generator, cells: tuple[int, int]) -> Float[np.ndarra
 
 def _grain(rng: np.random.Generator) -> np.ndarray:
     return 0.7 * _smooth(rng, (int(rng.integers(20, 60)), 3)) + 0.3 * _smooth(rng, (60, 6))
+
+
+def _rings(rng: np.random.Generator) -> np.ndarray:
+    """The rings of a tree, cut along its length a little askew."""
+    y, x = np.mgrid[0:SIZE, 0:SIZE] / SIZE
+    away = np.hypot(y - rng.uniform(-0.5, 1.5), 0.2 * (x - rng.uniform(-1, 2))) + 0.06 * _smooth(rng, (5, 3))
+    return 0.5 + 0.5 * np.sin(2 * np.pi * rng.uniform(8, 25) * away)
+
+
+def _brushed(rng: np.random.Generator) -> np.ndarray:
+    return 0.6 * _smooth(rng, (SIZE, 2)) + 0.4 * _smooth(rng, (SIZE // 2, 8))
 
 
 def _speckle(rng: np.random.Generator) -> np.ndarray:
@@ -45,14 +61,42 @@ def _blotches(rng: np.random.Generator) -> np.ndarray:
 
 _KINDS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "grain": _grain,
+    "rings": _rings,
+    "brushed": _brushed,
     "speckle": _speckle,
     "stripes": _stripes,
     "checks": _checks,
     "blotches": _blotches,
 }
-TRAINED = ("grain", "speckle", "stripes")
+TRAINED = ("grain", "rings", "speckle", "stripes", "brushed")
 UNSEEN = ("checks", "blotches")
 """Kept from every training, so that evaluation shows what the robot makes of surfaces it never saw."""
+
+
+@dataclass(frozen=True)
+class _Stuff:
+    """Ranges of what a surface is made of: least and most of hue, saturation, value, roughness, metallic, contrast."""
+
+    hue: tuple[float, float]
+    saturation: tuple[float, float]
+    value: tuple[float, float]
+    roughness: tuple[float, float]
+    metallic: tuple[float, float]
+    contrast: tuple[float, float]
+
+
+_WOOD = _Stuff((0.06, 0.11), (0.10, 0.28), (0.35, 0.80), (0.5, 0.9), (0.0, 0.0), (0.1, 0.5))
+_PAINT = _Stuff((0.0, 1.0), (0.0, 0.12), (0.25, 0.85), (0.25, 0.9), (0.0, 0.0), (0.03, 0.4))
+_METAL = _Stuff((0.5, 0.7), (0.0, 0.06), (0.45, 0.80), (0.25, 0.5), (0.2, 0.5), (0.1, 0.4))
+_MADE_OF = {
+    "grain": _WOOD,
+    "rings": _WOOD,
+    "speckle": _PAINT,
+    "stripes": _PAINT,
+    "brushed": _METAL,
+    "checks": _PAINT,
+    "blotches": _METAL,
+}
 
 
 @lru_cache(maxsize=64)
@@ -64,10 +108,20 @@ def surface(kind: str, seed: int, contrast: float, colour: tuple[float, float, f
     return (np.concatenate([np.clip(rgb, 0, 1), opaque], -1) * 255).astype(np.uint8)
 
 
-def draw_surface(rng: np.random.Generator, kinds: Sequence[str]) -> dict[str, object]:
-    """What `surface` needs besides the colour, as plain data."""
+def draw_surface(rng: np.random.Generator, kinds: Sequence[str], shade: float = 1.0) -> dict[str, object]:
+    """A surface as plain data: what `surface` needs, and `roughness` and `metallic`.
+
+    Args:
+        shade: factor on how light it is: a box is darker than a table.
+    """
+    kind = str(rng.choice(list(kinds)))
+    stuff = _MADE_OF[kind]
+    hue, saturation, value, roughness, metallic, contrast = (float(rng.uniform(*r)) for r in vars(stuff).values())
     return {
-        "kind": str(rng.choice(list(kinds))),
+        "kind": kind,
         "seed": int(rng.integers(2**31)),
-        "contrast": float(rng.uniform(0.1, 0.5)),
+        "contrast": contrast,
+        "colour": colorsys.hsv_to_rgb(hue, saturation, shade * value),
+        "roughness": roughness,
+        "metallic": metallic,
     }

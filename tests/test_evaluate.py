@@ -75,13 +75,13 @@ def test_no_world_of_evaluation_is_one_of_training() -> None:
 
 def test_unseen_worlds_lie_outside_the_edges_of_training() -> None:
     for episode in range(20):
-        task = world_task(CORNERED, "s1", 3, episode, unseen=True)
+        task = world_task(CORNERED, "s1", 3, episode, worlds="unseen")
         width = next(task.initial.get(o, "size_x")[0] for o in task.objects if o.type.name == "block")
         assert 0.041 < width < 0.0461 or 0.0699 < width < 0.0771
         friction = task.physics["friction_pad"]
         assert 0.9 <= friction <= 1.0 or 1.3 <= friction <= 1.43
         assert {v["kind"] for v in task.physics["surfaces"].values()} <= {"checks", "blotches"}
-        again = world_task(CORNERED, "s1", 3, episode, unseen=True)
+        again = world_task(CORNERED, "s1", 3, episode, worlds="unseen")
         assert again.initial == task.initial and again.physics == task.physics
 
 

@@ -157,7 +157,6 @@ def test_the_report_counts_and_shows_whether_ellipses_are_honest(tmp_path: Path)
         (["--episodes", "3"], "--episodes has no meaning"),
         (["--perception", "camera"], "--perception has no meaning"),
         (["--skills", "state"], "--skills has no meaning"),
-        (["--worlds", "unseen"], "--worlds has no meaning"),
         (["--rig", "absent.toml"], "absent.toml"),
     ],
 )

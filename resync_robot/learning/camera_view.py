@@ -67,13 +67,11 @@ class Prediction:
         block: (n, 7), as far as it can be seen: in m from the tip to the middle of the block's top in the hand's axes,
             and the block's distance to the nearer wall on each axis of the box, up to WIDEST_GAP; then how far its
             upward axis, of length 1, leans forward and left.
-        views: (n, views, views) probability that picture i comes from camera j.
     """
 
     steps: Float[np.ndarray, "n h 3"]
     done: Float[np.ndarray, " n"]
     block: Float[np.ndarray, "n 7"]
-    views: Float[np.ndarray, "n v v"]
 
 
 DONE, SEEN_FREE, DONE_IN_A_ROW = 0.5, 0.03, 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,13 +15,14 @@ from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import BOX
+from resync_robot.core.world import Window
 from resync_robot.learning import camera_view, recovery_policy
 from resync_robot.learning.camera_view import PICTURE, VIEWS, Scanned
 from sim_training.demos.starts import Start
 from sim_training.mine import MOVED, SETTLING
 from sim_training.recovery import FailedWorlds, draw_still, lagging
-from sim_training.scene import add_camera, build_scene, colour_of, look_through
-from sim_training.sensor import NoisySensor
+from sim_training.scene import add_camera, build_scene, colour_of, look_through, whole_picture
+from sim_training.sensor import NoisySensor, Tone
 from sim_training.vector_env import CONTROL_PERIOD, RECOVERY_TORQUE
 
 FOCAL_SIGMA = 0.005
@@ -77,7 +79,8 @@ class RenderedRecovery:
         self._body = self._built.rigid[start.block]
         self._focal: dict[str, float] = {}
         self._cameras = {name: self._mount(rig.camera(name), still) for name in VIEWS}
-        self._sensors = {n: NoisySensor(int(rng.integers(2**31)), rig.camera(n)) for n in VIEWS}
+        tone = Tone.of(start.task.physics)
+        self._sensors = {n: NoisySensor(int(rng.integers(2**31)), rig.camera(n), tone=tone) for n in VIEWS}
         self.lag = torch.tensor([0.0 if still else lag * rng.random()])
         self._exact = still
         self._delayed = not still and rng.random() < 0.5
@@ -199,12 +202,18 @@ class RenderedRecovery:
         """Only the windows are rendered: a fraction of the whole pictures' pixels, and the same rays."""
         q = self._joints()
         tip = self._rig.tip_pose(q)[:3, 3]
+        return self._through(lambda camera: camera_view.window_at(camera, self._rig.camera_pose(camera, q), tip))
+
+    def overview(self) -> Seen:
+        """As `see`, but the whole pictures, squeezed, of this moment."""
+        return Seen(self._through(whole_picture), self._joints(), self._tip())
+
+    def _through(self, window_of: Callable[[CameraRig], Window]) -> UInt8[np.ndarray, "v p p 3"]:
         self._built.scene.update_render()
         taken = []
         for name, component in self._cameras.items():
             camera = self._rig.camera(name)
-            window = camera_view.window_at(camera, self._rig.camera_pose(camera, q), tip)
-            look_through(component, camera, window, self._focal[name])
+            look_through(component, camera, window_of(camera), self._focal[name])
             component.take_picture()
             taken.append(self._sensors[name].colour(colour_of(component)))
         return np.stack(taken)

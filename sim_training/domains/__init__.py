@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.task import Domain, Task
 from sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
+from sim_training.lights import HARD, draw_lighting
 from sim_training.solver import SHIPPED, Solver, with_solver
 
 DOMAINS: dict[str, Domain] = {CORNERED_INSERTION_S.name: CORNERED_INSERTION_S}
@@ -27,16 +30,19 @@ Seeds below 1000 are for figures that are reported; whoever develops looks at wo
 
 
 def world_task(
-    domain: Domain, scenario: str, seed: int, episode: int, unseen: bool = False, solver: Solver = SHIPPED
+    domain: Domain, scenario: str, seed: int, episode: int, worlds: str = "usual", solver: Solver = SHIPPED
 ) -> Task:
     """The world of one evaluation episode: a pure function of its arguments, drawn apart from all training.
 
     Args:
-        unseen: with friction, masses, sizes and looks beyond what training draws.
+        worlds: "unseen" has friction, masses, sizes and looks beyond what training draws; "hard" is "usual" but for a
+            single lamp that casts dark shadows.
         solver: how finely its physics is solved.
     """
     place = list(domain.scenarios).index(scenario)
     rng = np.random.default_rng([EVALUATION_WORLDS, place, seed, episode])
     found = domain.scenario(scenario)
-    task = (found.sample_unseen if unseen else found.sample)(rng, int(rng.integers(2**31)))
+    task = (found.sample_unseen if worlds == "unseen" else found.sample)(rng, int(rng.integers(2**31)))
+    if worlds == "hard":
+        task = replace(task, physics={**task.physics, **draw_lighting(rng, HARD)})
     return task if solver == SHIPPED else with_solver(task, solver)

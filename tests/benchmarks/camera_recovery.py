@@ -1,9 +1,11 @@
 """The recovery by camera beside its teacher, which knows the exact state, in the same fresh rendered worlds.
 
-    python tests/benchmarks/camera_recovery.py LIBRARY... [--worlds 200] [--workers 2] [--physics reference]
+    python tests/benchmarks/camera_recovery.py LIBRARY... [--worlds 200] [--looks usual unseen hard] [--workers 2]
+        [--physics reference]
 
 Every world begins with a block that is stuck. "usual" worlds are drawn as in training, "unseen" ones have friction,
-masses and sizes beyond its edges, and surfaces and lights that it never had. Prints JSON, a line for each library.
+masses and sizes beyond its edges, and surfaces and lights that it never had, "hard" ones a lamp that casts dark
+shadows. Prints JSON, a line for each library.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from sim_training.demos.rollouts import RolloutSettings, Teacher, demonstrate, t
 from sim_training.demos.starts import draw_start
 from sim_training.domains import find_domain
 from sim_training.parallel import parallel_map
-from sim_training.randomise import PICTURED, UNSEEN
+from sim_training.randomise import LOOKS
 from sim_training.recovery import RecoverySettings
 from sim_training.solver import REFERENCE, with_solver
 
@@ -56,9 +58,8 @@ def _both(context, job: tuple[str, int, bool]) -> list[tuple[bool, bool, bool]]:
     """For each world of a batch: the teacher recovered, the student recovered, the student said that it was done."""
     library, teacher, student, gaussians = context
     looks, first, reference = job
-    ranges = UNSEEN if looks == "unseen" else PICTURED
     domain, rig = find_domain(library.domain), load_rig()
-    starts = [draw_start(domain, gaussians, first + i, ranges, failed_only=True) for i in range(BATCH)]
+    starts = [draw_start(domain, gaussians, first + i, LOOKS[looks], failed_only=True) for i in range(BATCH)]
     if reference:
         starts = [replace(start, task=with_solver(start.task, REFERENCE)) for start in starts]
     taught = demonstrate(starts, rig, teacher, RecoverySettings(), first, settings=ALONE)
@@ -85,13 +86,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("library", type=Path, nargs="+")
     parser.add_argument("--worlds", type=int, default=200)
+    parser.add_argument("--looks", nargs="+", default=list(LOOKS), choices=list(LOOKS))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--physics", choices=["shipped", "reference"], default="shipped")
     args = parser.parse_args()
     reference = args.physics == "reference"
     for path in args.library:
         result: dict[str, object] = {"library": load_library(path).content_hash[:12]}
-        for looks in ("usual", "unseen"):
+        for looks in args.looks:
             jobs = [(looks, FRESH + i, reference) for i in range(0, args.worlds, BATCH)]
             found = [row for rows in parallel_map(_both, jobs, partial(_context, path), args.workers) for row in rows]
             taught, learned, said = (sum(column) for column in zip(*found, strict=True))

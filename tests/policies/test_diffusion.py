@@ -61,10 +61,21 @@ def seen(n: int = 2) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_saved_policy_gives_the_same_answers(student: DiffusionStudent, saved: Path) -> None:
     before, after = student(*seen()), load_student(saved, RIG)(*seen())
-    for name in ("steps", "done", "block", "views"):
+    for name in ("steps", "done", "block"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=1e-6, err_msg=name)
     assert before.steps.shape == (2, SMALL.horizon, 3)
-    np.testing.assert_allclose(before.views.sum(-1), 1, atol=1e-5)
+
+
+def test_a_policy_with_heads_that_told_cameras_apart_still_loads(
+    student: DiffusionStudent, saved: Path, tmp_path: Path
+) -> None:
+    from safetensors.torch import load_file, save_file
+
+    older = tmp_path / "Recover"
+    shutil.copytree(saved, older)
+    heads = load_file(older / "heads.safetensors")
+    save_file({**heads, "view.0.0.weight": torch.zeros(32, 16)}, older / "heads.safetensors")
+    np.testing.assert_allclose(load_student(older, RIG)(*seen()).steps, student(*seen()).steps, atol=1e-6)
 
 
 def test_plans_demonstrate_in_the_size_that_their_policy_wants() -> None:
@@ -246,8 +257,7 @@ def test_it_learns_what_can_be_read_off_the_observation(bf16: bool) -> None:
     t, losses = trainer(bf16=bf16), []
     t.run(60, lambda step, found: losses.append(found))
     assert losses[-1]["action"] < 0.8 * losses[0]["action"]
-    assert losses[-1]["view"] <= losses[0]["view"]
-    assert set(losses[0]) == {"action", "done", "block", "view"}
+    assert set(losses[0]) == {"action", "done", "block"}
 
 
 @pytest.mark.parametrize("damage", [lambda p: p.write_bytes(p.read_bytes()[:500]), lambda p: p.write_bytes(b"")])
@@ -258,17 +268,3 @@ def test_a_broken_checkpoint_is_named(tmp_path: Path, damage: Callable[[Path], o
     damage(path)
     with pytest.raises(TrainingError, match=r"distil\.safetensors"):
         t.load(path)
-
-
-def test_answering_by_its_place_alone_is_worse_than_guessing_for_a_view_head() -> None:
-    t, d = trainer(), demonstrations(64)
-    pictures = torch.from_numpy(d.pictures).permute(0, 1, 4, 2, 3).float() / 255
-    state = torch.from_numpy(d.state)
-    found = []
-    with torch.no_grad():
-        for certainty in (0.0, 5.0):
-            for i, head in enumerate(t.student.heads.view):
-                head[-1].weight.zero_()
-                head[-1].bias.copy_(certainty * torch.eye(len(VIEWS))[i])
-            found.append(float(t._view_loss(pictures, state)))
-    assert found[0] == pytest.approx(np.log(len(VIEWS)), abs=1e-5) and found[1] > 2 * found[0]

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim_training import textures
-from sim_training.randomise import BLOCK_HUES, PICTURED, PRACTICE, UNSEEN, USUAL, draw_physics
+from sim_training.randomise import BLOCK_HUES, HARD, PICTURED, PRACTICE, UNSEEN, USUAL, draw_physics
 
 NAMES = ("b0", "b1", "b2", "b3")
 
@@ -25,7 +25,9 @@ def test_draws_are_complete_and_within_range(seed: int) -> None:
     assert 0.8 <= drawn["gain"] <= 1.2
     colours = [*drawn["colours"].values(), drawn["box_colour"], drawn["table_colour"]]
     assert all(0 <= channel <= 1 for colour in colours for channel in colour)
-    assert drawn["light"]["direction"][2] < 0
+    lamps = drawn["light"]["lamps"]
+    assert 1 <= len(lamps) <= 3 and all(lamp["direction"][2] < 0 for lamp in lamps)
+    assert 1.0 <= drawn["camera"]["gamma"] <= 2.2
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -69,6 +71,22 @@ def test_unseen_surfaces_are_of_kinds_that_training_never_draws() -> None:
             kinds[name] |= {s["kind"] for s in drawn.get("surfaces", {}).values()}
     assert kinds["usual"] == set()
     assert kinds["pictured"] and kinds["unseen"] and not kinds["pictured"] & kinds["unseen"]
+
+
+def test_light_and_surfaces_leave_the_rest_of_a_world_as_it_is() -> None:
+    for seed in range(10):
+        plain, hard = (draw_physics(np.random.default_rng(seed), NAMES, r) for r in (USUAL, HARD))
+        same = {"friction_pad", "friction_block", "friction_box", "gain", "masses", "colours"}
+        assert all(plain[k] == hard[k] for k in same) and plain["light"] != hard["light"]
+
+
+def test_training_has_worlds_with_and_without_shadows_hard_and_soft_and_hard_light_always_has() -> None:
+    texels = {
+        name: [draw_physics(np.random.default_rng(s), NAMES, r)["light"]["texels"] for s in range(60)]
+        for name, r in (("usual", USUAL), ("hard", HARD))
+    }
+    assert 15 < texels["usual"].count(0) < 45 and len(set(texels["usual"])) > 3
+    assert min(texels["hard"]) > max(texels["usual"])
 
 
 @pytest.mark.parametrize("kind", [*textures.TRAINED, *textures.UNSEEN])

@@ -12,7 +12,7 @@ from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig, load_rig
 from resync_robot.core.sensor_noise import SensorNoise
 from resync_robot.core.world import CameraFrame
-from sim_training.sensor import NoisySensor
+from sim_training.sensor import NoisySensor, Tone
 
 UNIT = CameraFrame.DEPTH_UNIT_M
 WRIST = load_rig().camera("wrist")
@@ -122,3 +122,18 @@ def test_a_frame_costs_little() -> None:
         sensor.apply(frame)
         spent.append(time.process_time() - begun)
     assert min(spent) < 0.015
+
+
+def test_a_camera_as_a_world_has_it_when_nothing_is_said_leaves_colours_alone() -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (8, 8, 3)).astype(np.uint8)
+    np.testing.assert_array_equal(Tone.of({}).apply(picture), picture)
+
+
+def test_gamma_darkens_middle_tones_and_white_balance_tints() -> None:
+    grey = np.full((2, 2, 3), 110, dtype=np.uint8)
+    assert Tone(gamma=1.0).apply(grey).max() < 60
+    assert Tone(gamma=1.0).apply(np.full((1, 1, 3), 255, np.uint8)).min() == 255, "white stays"
+    red, green, _ = Tone(white_balance=(1.1, 1.0, 0.9)).apply(grey)[0, 0].astype(int)
+    assert red > green == 110
+    sensed = NoisySensor(0, WRIST, ONLY_NOISE, Tone(gamma=1.0)).colour(np.full((40, 40, 3), 110, np.uint8))
+    assert sensed.mean() < 60, "the sensor sees through it"
