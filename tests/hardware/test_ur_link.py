@@ -17,6 +17,7 @@ from hardware.base import (
     Command,
     Connected,
     GripperState,
+    Halt,
     RealtimeRobot,
     RobotError,
     SafetyError,
@@ -61,6 +62,8 @@ class Lab:
         monkeypatch.setenv("CLIENT_Q", " ".join(map(str, self.rig(5.0).arm.home)))
         self._monkeypatch = monkeypatch
         self.stopped: list[str] = []
+        self.knowledge = Halt.STOPPED
+        """What an attempt to stop the program on the dashboard leaves."""
         self.drivers: list[Ur7e] = []
 
     @staticmethod
@@ -72,9 +75,13 @@ class Lab:
         """A driver whose link has begun."""
         self._monkeypatch.setenv("CLIENT_FAULT", fault)
         driver = Ur7e(self.rig(freshness), Hand())
-        driver._link = LinkProcess("127.0.0.1", driver._settings(), lambda: self.stopped.append("program"))
+        driver._link = LinkProcess("127.0.0.1", driver._settings(), self._stop_program)
         self.drivers.append(driver)
         return driver
+
+    def _stop_program(self) -> Halt:
+        self.stopped.append("program")
+        return self.knowledge
 
     def lines(self) -> list[str]:
         return self._log.read_text().splitlines()
@@ -157,7 +164,7 @@ def test_what_is_recorded_as_sent_is_what_went_out_then(lab: Lab) -> None:
 
 def test_a_setpoint_that_the_client_refuses_is_not_recorded_as_sent(lab: Lab) -> None:
     driver = lab.connect("refuse")
-    with pytest.raises(RobotError, match="control program was stopped"):
+    with pytest.raises(RobotError, match="control program took no more setpoints"):
         Stream(driver, lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 1.0)
     assert len(driver.sent_at()) == len(lab.wire())
     np.testing.assert_array_equal(driver.last_sent().arm, lab.wire()[-1])
