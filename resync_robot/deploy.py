@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from resync_robot.planning.execute import End, Model, Result
 
 
+BEWARE = "keep away from the robot or press its emergency stop; then look at it, the cable and the controller"
+"""What to do where nobody knows whether it has stopped."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class DeployConfig:
     """Let a robot, simulated or real, reach a goal with what a library knows."""
@@ -89,7 +93,6 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import camera_recovery, learned_model, sees_by_camera, shipped_library
     from resync_robot.learning.camera_view import VIEWS
-    from resync_robot.planning.execute import End
     from resync_robot.planning.suppose import find_plan
     from resync_robot.progress import say
     from resync_robot.run_folder import check_folder, default_folder
@@ -165,8 +168,8 @@ def deploy(config: DeployConfig) -> int:
                 # Also where the terminal is gone that this was to be said on.
                 if outcome.error is not None:
                     raise outcome.error
-            if outcome.result.end is End.NO_PLAN and not outcome.skills:
-                say('  -> See what it saw in the recording, or give another --goal, such as --goal "On(b1,b0)".')
+            if outcome.fix:
+                say(f"  -> {outcome.fix}")
         if outcome.halt is Halt.UNKNOWN and i + 1 < len(tasks):
             say(f"The other {len(tasks) - i - 1} episodes are not begun: {outcome.halt.value}.")
             break
@@ -184,6 +187,7 @@ class _Outcome:
         skills: how many were run to an end.
         halt: what is known of the robot; None where nothing moves by itself.
         error: what ends the program with the episode.
+        fix: what to do about it.
     """
 
     result: Result
@@ -191,6 +195,7 @@ class _Outcome:
     skills: int
     halt: Halt | None
     error: BaseException | None = None
+    fix: str = ""
 
     @property
     def good(self) -> bool:
@@ -299,7 +304,7 @@ def _episode(
     segmenter: Segmenter | None,
 ) -> _Outcome:
     """Run one episode to whatever end; the robot is let go and the recording closed then."""
-    from hardware.base import RealtimeRobot, RobotError
+    from hardware.base import Halt, RealtimeRobot, RobotError
     from resync_robot import __version__
     from resync_robot.backends import Layout, open_replay, open_simulated, open_ur7e
     from resync_robot.core.episode import EpisodeMeta, EventKind
@@ -307,7 +312,7 @@ def _episode(
     from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
     from resync_robot.doubt import doubting
-    from resync_robot.planning.execute import ExecuteSettings, Result, plan_f
+    from resync_robot.planning.execute import End, ExecuteSettings, Result, plan_f
     from resync_robot.progress import say
     from resync_robot.recorder import Recorder
     from resync_robot.signals import let_through
@@ -354,7 +359,7 @@ def _episode(
 
         model = doubting(model)
         say(f"Goal: {goal}")
-        reached, ending = False, None
+        reached, ending, fix = False, None, ""
         try:
             with let_through():
                 world = kind(
@@ -374,19 +379,21 @@ def _episode(
                 reached = result.success and (
                     devices.truth is None or task.goal <= model.abstraction.true_atoms(devices.truth())
                 )
+            if result.end is End.NO_PLAN and not result.transitions:
+                fix = 'See what it saw in the recording, or give another --goal, such as --goal "On(b1,b0)".'
         except BaseException as error:
             result = Result(*_end(error), (), (), task.initial)
             recorder.on_end(result.end, result.reason)
-            if not isinstance(error, PerceptionError | MotionError | RobotError):
+            # The trouble of one episode is recorded with it, and leaves the others their turn.
+            if isinstance(error, PerceptionError | MotionError | RobotError):
+                fix = error.fix
+            else:
                 ending = error
-            elif error.fix:
-                # One episode's trouble is recorded with it and leaves the others their turn.
-                say(f"  -> {error.fix}")
         recorder.let_go()
         halt = None if devices.halt is None else devices.halt()
         if halt is not None:
             recorder.on_halt(halt)
-    return _Outcome(result, reached, recorder.skills, halt, ending)
+    return _Outcome(result, reached, recorder.skills, halt, ending, BEWARE if halt is Halt.UNKNOWN else fix)
 
 
 def _end(error: BaseException) -> tuple[End, str]:

@@ -120,7 +120,7 @@ def test_a_defect_keeps_its_traceback(given) -> None:
 def test_control_c_is_one_line_and_code_130(given, capsys: pytest.CaptureFixture[str]) -> None:
     given("doctor", KeyboardInterrupt())
     assert exit_code("doctor") == 130
-    assert capsys.readouterr().err == "interrupted\n"
+    assert capsys.readouterr().err == "interrupted by Ctrl-C\n"
 
 
 @pytest.mark.parametrize(("result", "code"), [(None, 0), (0, 0), (2, 2)])
