@@ -115,6 +115,7 @@ class LinkProcess:
         if self.memory.words["uploaded"] and (self.halt is None or before is Halt.UNKNOWN):
             # Once more: a controller that had fallen silent may answer by now.
             self.halt = self._stop_program()
+        self._errors.join(0.5)
         if self.process.stdout is not None:
             self.process.stdout.close()
 

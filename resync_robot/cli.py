@@ -24,7 +24,7 @@ from resync_robot.doctor import DoctorConfig, doctor
 from resync_robot.emulate import EmulateConfig, emulate
 from resync_robot.evaluate import EvaluateConfig, evaluate
 from resync_robot.review import ReviewConfig, review
-from resync_robot.signals import number_of, raised, words_for
+from resync_robot.signals import ended_by, number_of, raised, words_for
 from resync_robot.train import TrainConfig, train
 
 COMMANDS: dict[str, tuple[type, Callable[[Any], int | None]]] = {
@@ -62,11 +62,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(end="", flush=True)
         return code
-    except OSError:
-        # A closed pipe, or a terminal that is gone. A worker's pipe breaks with the same error, and that is a defect to
-        # be seen.
+    except OSError as error:
+        # A closed pipe, or a terminal that is gone, which SIGHUP tells first. A worker's pipe breaks with the same
+        # error, and that is a defect to be seen.
         if not _unread():
             raise
+        ended = ended_by(error)
+        code = code if ended is None else SIGNALLED + ended
     except SystemExit as end:
         # Rich answers a closed pipe by this, with code 1.
         if not isinstance(end.__context__, BrokenPipeError):

@@ -36,6 +36,13 @@ def number_of(end: KeyboardInterrupt) -> int:
     return int(getattr(end, "number", signal.SIGINT))
 
 
+def ended_by(error: BaseException | None) -> int | None:
+    """The signal in whose course an error came up; None where there was none."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return None if error is None else number_of(error)
+
+
 class _Held:
     """How many `held` blocks are under way, and the signal that came meanwhile; 0 where none did."""
 
