@@ -206,7 +206,7 @@ class _Outcome:
 
     @property
     def verdict(self) -> str:
-        """For people; also what is not known of the robot."""
+        """For people; also what is known of the robot, where that is not as it should be or all is not well."""
         from hardware.base import Halt
         from resync_robot.planning.execute import End
 
@@ -219,7 +219,9 @@ class _Outcome:
             words = (
                 f"{end.value} ({reason})" if end in (End.PLANNED, End.STOPPED) else f"failed ({end.value}: {reason})"
             )
-        return f"{words}; {self.halt.value}" if self.halt is Halt.UNKNOWN else words
+        if self.halt is Halt.UNKNOWN or (self.halt is not None and not self.good):
+            words += f"; {self.halt.value}"
+        return words
 
 
 def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:

@@ -59,6 +59,7 @@ def train(config: TrainConfig) -> None:
         ResyncError: bad input, or a stage that cannot produce what the next one needs.
     """
     from resync_robot import run_folder
+    from resync_robot.progress import say
     from sim_training.domains import find_domain
 
     domain = find_domain(config.domain)
@@ -78,7 +79,11 @@ def train(config: TrainConfig) -> None:
         _check_renderer()
     run_folder.write_json(path / "config.json", _settings(config))
     _quiet_threads()
-    _run(config, domain, folder)
+    try:
+        _run(config, domain, folder)
+    except KeyboardInterrupt:
+        say(f"What is done is kept. Go on with:  resync-robot train-sim --resume --out {path}")
+        raise
 
 
 SHAPING = ("domain", "preset", "seed", "concepts", "device", "skills")
