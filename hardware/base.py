@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
@@ -36,6 +37,15 @@ class ProtectiveStopError(RobotError):
 
 class SkewError(RobotError):
     """Depth and colour of a camera were not exposed together: they show two different moments."""
+
+
+class Halt(Enum):
+    """What is known of a robot that this program steers no more. The value is the sentence for it."""
+
+    STOPPED = "the controller says that the robot's program has ended"
+    """By its runtime state or on its dashboard. Without a program it brakes the arm, and holds it."""
+    UNKNOWN = "nobody knows whether the robot has stopped: assume that it may still move"
+    """The controller does not answer, or says that the program still runs."""
 
 
 class StarvedError(RobotError):

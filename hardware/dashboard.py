@@ -6,12 +6,15 @@ Written here and not taken from ur-rtde, whose client may end the process that h
 from __future__ import annotations
 
 import socket
+import time
 
 from hardware.base import Connected, ProtectiveStopError, RobotError
 
 PORT = 29999
 MAX_REPLY = 4096
 TIMEOUT_S = 3.0
+END_S = 2.0
+"""How long a program may take to end."""
 
 OTHER_MODES = {
     "POWER_OFF": "the arm has no power: switch it on and release the brakes on the teach pendant",
@@ -97,10 +100,11 @@ class Dashboard(Connected):
         """The robot mode, such as RUNNING."""
         return self._word("robotmode")
 
-    def _word(self, question: str) -> str:
+    def _word(self, question: str, answer: str = "") -> str:
+        """The word after `answer` (by default what was asked) and a colon."""
         reply = self.ask(question)
         head, colon, word = reply.partition(":")
-        if not colon or head.lower() != question:
+        if not colon or head.lower() != (answer or question):
             raise RobotError(f"the dashboard answers '{reply[:80]}' to '{question}'", "is this a UR controller?")
         return word.strip().upper()
 
@@ -126,9 +130,13 @@ class Dashboard(Connected):
                 "the robot is in local control", "switch it to remote control at the top right of the teach pendant"
             )
 
-    def stop_program(self) -> None:
-        """End whatever program runs on the controller."""
+    def stop_program(self) -> bool:
+        """End whatever program runs on the controller; whether it then says, within END_S, that none does."""
         self.ask("stop")
+        deadline = time.monotonic() + END_S
+        while (running := self._word("running", "program running")) != "FALSE" and time.monotonic() < deadline:
+            time.sleep(0.05)
+        return running == "FALSE"
 
     def unlock_protective_stop(self) -> None:
         """Release it. Raises ProtectiveStopError when the controller refuses, as it does for its first 5 s."""

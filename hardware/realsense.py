@@ -18,6 +18,7 @@ from jaxtyping import Float, UInt8
 
 from hardware.base import Connected, RobotError, SkewError, StaleError
 from hardware.crop import crop
+from hardware.pauses import blaming_a_pause
 from hardware.realsense_device import FrameSource, PipelineSource, Stream, load_pyrealsense2
 from resync_robot.core.rig import CameraRig
 from resync_robot.core.world import CameraFrame, Cutout, Window
@@ -222,8 +223,10 @@ class RealSense(Connected):
 
     def _stale(self, why: str, limit: float) -> StaleError:
         return StaleError(
-            f"camera '{self.name}' ({self._camera.serial}) gave nothing usable for {limit:.1f} s: {why}",
-            "check its cable; give each camera a USB controller of its own",
+            *blaming_a_pause(
+                f"camera '{self.name}' ({self._camera.serial}) gave nothing usable for {limit:.1f} s: {why}",
+                "check its cable; give each camera a USB controller of its own",
+            )
         )
 
     def _require_stream(self) -> Stream:

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hardware.base import Connected, GripperState, RobotError
+from hardware.pauses import pauses
 
 _log = logging.getLogger(__name__)
 
@@ -117,6 +118,7 @@ class Robotiq(Connected):
             self.close()
             raise
         self._error, self._closing, self._wanted = None, False, None
+        pauses()
         self._thread = threading.Thread(target=self._work, name="gripper", daemon=True)
         self._thread.start()
 
@@ -133,7 +135,8 @@ class Robotiq(Connected):
     def state(self) -> GripperState:
         """The latest reading. Raises RobotError on a fault, or when the gripper has fallen silent."""
         self._require_work()
-        if time.monotonic() - self._heard > STALE_S + TIMEOUT_S:
+        # While this program stood still nobody asked it anything.
+        if min(time.monotonic() - self._heard, pauses().since()) > STALE_S + TIMEOUT_S:
             raise RobotError("the gripper has fallen silent", "check its cable and its URCap")
         return self._state
 
@@ -184,7 +187,9 @@ class Robotiq(Connected):
                 data = sock.recv(MAX_LINE)
                 answer += data
                 if not data or len(answer) > MAX_LINE:
-                    raise RobotError("the gripper ended the conversation", "check its URCap, and connect again")
+                    raise ConnectionResetError
+        except ConnectionError:
+            raise RobotError("the gripper ended the conversation", "check its URCap, and connect again") from None
         except OSError as error:
             raise RobotError(
                 f"the gripper does not answer: {error.strerror or error}", "check its cable and its URCap"

@@ -15,6 +15,7 @@ from hardware.base import (
     SERVO_PERIOD,
     Connected,
     Gripper,
+    Halt,
     ProtectiveStopError,
     RobotError,
     RobotState,
@@ -22,8 +23,9 @@ from hardware.base import (
     StarvedError,
 )
 from hardware.dashboard import OTHER_SAFETY, Dashboard
+from hardware.pauses import blaming_a_pause, pauses
 from hardware.room import Room
-from hardware.ur_memory import LONGEST_STOP, RING, STOPS, Fault, LinkMemory
+from hardware.ur_memory import LONGEST_STOP, PLAYING, RING, STOPS, Fault, LinkMemory
 from hardware.ur_process import LinkProcess
 from hardware.ur_rig import rig_to_json, room_to_json
 from resync_robot.core.joints import JointTarget
@@ -35,6 +37,7 @@ UNLOCK_AFTER_S = 5.5
 """The controller refuses to unlock a protective stop in its first 5 s."""
 UNLOCK_TRIES_S = 3.0
 """Its clock may be slower than ours."""
+LOOK = "look at the teach pendant, and start again"
 INSTALL = "uv pip install -e '.[hardware]' -c constraints.txt"
 SAFETY_NAMES = {
     2: "REDUCED", 3: "PROTECTIVE_STOP", 4: "RECOVERY", 5: "SAFEGUARD_STOP", 6: "SYSTEM_EMERGENCY_STOP",
@@ -66,6 +69,8 @@ class Ur7e(Connected):
         self._orders = 0
         self._room = Room(rig)
         self._last_heard = 0.0, time.monotonic()
+        self._halt: Halt | None = None
+        self._unreached = ""
 
     def connect(self) -> None:
         """Check the controller's state, start the link, verify payload and TCP. Nothing moves.
@@ -83,18 +88,35 @@ class Ur7e(Connected):
         self.gripper.connect()
         try:
             self._opening = self.gripper.state().opening
-            self._stopped_at, self._blocks, self._orders = 0.0, 0, 0
+            self._stopped_at, self._blocks, self._orders, self._halt = 0.0, 0, 0, None
+            pauses()
             self._link = LinkProcess(self._controller.address, self._settings(), self._stop_program)
         except BaseException:
             self.close()
             raise
 
-    def close(self) -> None:
-        """Brake to rest, end the program, and let go; may be called twice."""
+    def halt(self) -> Halt | None:
+        """Brake to rest, end the program, and let go of the arm; may be called twice.
+
+        Returns:
+            What is then known of the robot; None where no program was ever begun.
+        """
+        self.clock()
         link, self._link = self._link, None
         if link is not None:
             link.close()
-        self.gripper.close()
+            self._halt = link.halt
+            if link.halt is Halt.UNKNOWN:
+                why = f" ({self._unreached})" if self._unreached else ""
+                _log.warning("%s%s", link.halt.value, why)
+        return self._halt
+
+    def close(self) -> None:
+        """`halt`, and let go of the gripper; may be called twice."""
+        try:
+            self.halt()
+        finally:
+            self.gripper.close()
 
     def clock(self) -> float:
         """s on the controller's clock when it was last heard; goes on counting while it is silent."""
@@ -250,20 +272,16 @@ class Ur7e(Connected):
         self._require_process()
         silent = time.monotonic() - float(now["heard"])
         if silent > self._controller.freshness:
-            raise StaleError(
+            raise _stale(
                 f"the controller has said nothing for {1000 * silent:.0f} ms; allowed: "
-                f"{1000 * self._controller.freshness:.0f} ms",
-                "check the cable and the controller; the robot has been given no more setpoints",
+                f"{1000 * self._controller.freshness:.0f} ms"
             )
         return now
 
     def _require_process(self, wait: float = 0.0) -> None:
         end = "" if self._link is None else self._link.ended(wait)
         if end:
-            raise StaleError(
-                f"the link to the robot was lost (its process ended with {end}); the robot's program has been stopped",
-                "check the cable and the controller, look at the robot, and start again",
-            )
+            raise _stale(f"the link to the robot was lost (its process ended with {end})")
 
     def _require_running(self) -> None:
         """Raise whatever keeps the link from sending setpoints."""
@@ -287,8 +305,10 @@ class Ur7e(Connected):
         if safety and safety != "REDUCED":
             raise RobotError(f"the robot stopped: {safety}", OTHER_SAFETY.get(safety, "look at the teach pendant"))
         if fault is Fault.STALE:
-            raise StaleError("the controller fell silent for a moment and motion was stopped", "start again")
-        raise RobotError("the robot's control program was stopped", "look at the teach pendant, and start again")
+            raise _stale("the controller fell silent for a moment, and was sent no more setpoints")
+        if int(memory.snapshot()["runtime"]) == PLAYING:
+            raise RobotError("the robot's control program took no more setpoints", LOOK)
+        raise RobotError(*blaming_a_pause("the robot's control program was stopped", LOOK))
 
     def _starved(self) -> None:
         """Wait until the arm rests where the link braked it to, take over from there, and say so."""
@@ -300,13 +320,20 @@ class Ur7e(Connected):
         felt = float(w["felt"])
         raise StarvedError(w["held"].copy(), None if felt == 0.0 else felt)
 
-    def _stop_program(self) -> None:
+    def _stop_program(self) -> Halt:
         """The link is gone; whatever it uploaded must not go on."""
         try:
             with Dashboard(self._controller.address, timeout=1.0) as dashboard:
-                dashboard.stop_program()
+                stopped = dashboard.stop_program()
+            self._unreached = "" if stopped else "its program still runs"
         except RobotError as error:
-            _log.warning("the robot's program could not be stopped, its watchdog has to: %s", error.what)
+            stopped, self._unreached = False, error.what
+        self._halt = Halt.STOPPED if stopped else Halt.UNKNOWN
+        return self._halt
+
+
+def _stale(what: str) -> StaleError:
+    return StaleError(*blaming_a_pause(what, "check the cable and the controller, look at the robot, and start again"))
 
 
 def require_controller(rig: Rig) -> ControllerRig:

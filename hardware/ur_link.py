@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from hardware.generator import Generator
-from hardware.ur_memory import RING, SNAPSHOT, STOPS, Fault, LinkMemory
+from hardware.ur_memory import PLAYING, RING, SNAPSHOT, STOPS, Fault, LinkMemory
 from hardware.ur_rig import rig_from_json, room_from_json
 from hardware.yielding import Yielding
 
@@ -38,11 +38,11 @@ VARIABLES = (
     "robot_status_bits", "safety_status_bits", "speed_scaling", "target_speed_fraction", "payload",
     "payload_cog",
 )  # fmt: skip
-PLAYING = 2
 LOOKAHEAD, GAIN = 0.1, 300.0
 """s and the proportional gain of servoj: the smoothest that the controller offers without lagging more."""
 LINK_LOST, STILL_RUNNING = 3, 4
-"""Exit codes. After any but 0 the driver ends the robot's program, if one was uploaded."""
+"""Exit codes. After any but 0 the driver ends the robot's program, if one was uploaded: 0 says that the controller has
+said that it does not run."""
 WHY_S = 0.05
 """How long the reason of a stop may come after it."""
 END_S = 2.0
@@ -76,6 +76,8 @@ class Link:
         self._orders: deque[dict[str, Any]] = deque()
         self._yielding: Yielding | None = None
         self._past: np.ndarray | None = None
+        self.stopped = False
+        """Whether the controller has said, since the program began, that it does not run; nothing begins it again."""
         controller = self._rig.controller
         self._most_force = np.inf if controller is None else controller.force_limit
         self._generator = Generator(self._rig.arm, 1.0)
@@ -131,6 +133,7 @@ class Link:
             now["robot_mode"], now["safety_mode"] = r.getRobotMode(), r.getSafetyMode()
             now["runtime"] = r.getRuntimeState()
             now["speed_fraction"] = r.getSpeedScaling()
+            self.stopped |= bool(now["runtime"] != PLAYING)
             self._memory.publish(now)
         if not r.isConnected() or not self.control.isConnected():
             return Fault.LINK_LOST
@@ -262,7 +265,7 @@ class Link:
                 return
             seen += float(self._now["time"]) != before
 
-    def watch_after(self, fault: Fault) -> None:
+    def watch_after(self) -> None:
         """Send nothing, publish what the robot says, until the driver lets go or the link is lost."""
         while not self._driver_gone.is_set():
             if self.look() is Fault.LINK_LOST:
@@ -270,12 +273,15 @@ class Link:
             time.sleep(PERIOD)
 
     def end_program(self) -> None:
-        """Stop servoing and end the program, in order."""
+        """Stop servoing and end the program, in order; returns when the controller says that it has ended."""
         timer = threading.Timer(END_S, leave, [STILL_RUNNING])
         timer.daemon = True
         timer.start()
         self.control.servoStop(10.0)
         self.control.stopScript()
+        while not self.stopped:
+            time.sleep(PERIOD)
+            self.look()
 
 
 def main() -> None:
@@ -295,7 +301,8 @@ def main() -> None:
         # Nobody reads on: what the client's library prints from here on must not fill the pipe, and hold up the loop.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         leave(serve(link, memory))
-    except Exception:
+    except Exception as error:
+        memory.words["why"] = (" ".join(str(error).split()) or type(error).__name__).encode()
         traceback.print_exc()
         leave(STILL_RUNNING)
 
@@ -307,12 +314,13 @@ def serve(link: Link, memory: LinkMemory) -> int:
         link.learn_why()
     memory.words["fault"] = int(fault)
     if fault is Fault.LINK_LOST:
+        memory.words["why"] = b"the connection to the controller broke off"
         return LINK_LOST
     if fault is Fault.DRIVER_GONE:
         link.end_program()
         return 0
-    link.watch_after(fault)
-    return 0 if fault is Fault.STOPPED else STILL_RUNNING
+    link.watch_after()
+    return 0 if link.stopped else STILL_RUNNING
 
 
 def leave(code: int) -> None:

@@ -3,7 +3,8 @@
 Each word has one writer. Setpoints travel in a ring; every block comes with its way to rest, of which the link reads
 the last block's while the driver writes over the oldest. `wire` is what the last RING setpoints were when they went
 out, and `sent_at` when that was, on the host's monotonic clock. Of two snapshots of the robot one is whole while the
-other is written: a reader finds one even where the writer died in the middle of it.
+other is written: a reader finds one even where the writer died in the middle of it. `why` is the last word of a link
+that could not go on.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ RING = 1 << 15
 STOPS = 4
 LONGEST_STOP = 4096
 JOINTS = ("f8", 6)
+PLAYING = 2
+"""`runtime` while a program runs."""
 
 SNAPSHOT = np.dtype(
     [
@@ -42,8 +45,8 @@ LAYOUT = np.dtype(
         ("stops", STOP, STOPS),
         # Written by the link.
         ("read", "i8"), ("link_epoch", "i8"), ("resting", "i8"), ("held", *JOINTS), ("felt", "f8"), ("fault", "i8"),
-        ("uploaded", "i8"), ("orders", "i8"), ("sent", "i8"), ("sequence", "i8"), ("snapshots", SNAPSHOT, 2),
-        ("sent_at", "f8", RING), ("wire", "f8", (RING, 6)),
+        ("why", "S200"), ("uploaded", "i8"), ("orders", "i8"), ("sent", "i8"), ("sequence", "i8"),
+        ("snapshots", SNAPSHOT, 2), ("sent_at", "f8", RING), ("wire", "f8", (RING, 6)),
     ]
 )  # fmt: skip
 

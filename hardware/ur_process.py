@@ -9,13 +9,14 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from hardware.base import RobotError
+from hardware.base import Halt, RobotError
 from hardware.ur_memory import LinkMemory
 
 _log = logging.getLogger(__name__)
@@ -28,18 +29,22 @@ class LinkProcess:
     """Started with its settings, one line of JSON; ready when the constructor returns.
 
     Args:
-        stop_program: ends the robot's program; called once where the link has gone and left it running.
+        stop_program: ends the robot's program, and says what is then known of it; called where the link has gone
+            without the controller's word that the program has ended, and once more at the end where that stays unknown.
 
     Attributes:
         memory: what driver and link share.
         process: the child.
+        halt: what is known of the robot's program once the child has gone; None before, and where it began none.
 
     Raises:
         RobotError: the controller is controlled by another program, or the link does not start.
     """
 
-    def __init__(self, address: str, settings: dict[str, Any], stop_program: Callable[[], None]) -> None:
-        self._stop_program, self._looked_after = stop_program, False
+    def __init__(self, address: str, settings: dict[str, Any], stop_program: Callable[[], Halt]) -> None:
+        self._stop_program = stop_program
+        self.halt: Halt | None = None
+        self._last_error = ""
         file = LinkMemory.new_file()
         try:
             self.memory = LinkMemory(file)
@@ -49,11 +54,14 @@ class LinkProcess:
                 [sys.executable, "-c", "from hardware.ur_link import main; main()"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
                 pass_fds=(file,),
                 env=os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
                 # A Ctrl-C at the terminal is for the driver, which brakes; the link ends after it.
                 start_new_session=True,
             )
+            self._errors = threading.Thread(target=self._log_errors, name="link's errors", daemon=True)
+            self._errors.start()
             try:
                 answer = self._ask({"memory": file, "address": address, **settings})
             except BaseException:
@@ -69,7 +77,8 @@ class LinkProcess:
                     f"another program controls the robot: {reason}",
                     "end it, or disable its EtherNet/IP, PROFINET or MODBUS unit on the teach pendant",
                 )
-            raise RobotError(f"no control of the robot at {address}: {reason}")
+            known = f"; {self.halt.value}" if self.halt is Halt.UNKNOWN else ""
+            raise RobotError(f"no control of the robot at {address}: {reason}{known}")
 
     def order(self, **content: Any) -> None:
         """A line of JSON for the link, which counts the last one it has carried out in `orders`. Raises RobotError."""
@@ -82,19 +91,20 @@ class LinkProcess:
             raise RobotError("the link to the robot takes no orders: its process has ended") from None
 
     def ended(self, wait: float = 0.0) -> str:
-        """How it ended, within `wait` s from now: a signal or a code; '' while it runs."""
+        """How it ended, within `wait` s from now: a signal or a code, and its reason; '' while it runs."""
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(wait)
         code = self.process.poll()
         if code is None:
             return ""
-        if code != 0 and self.memory.words["uploaded"] and not self._looked_after:
-            self._looked_after = True
-            self._stop_program()
-        return f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
+        if self.halt is None and self.memory.words["uploaded"]:
+            self.halt = Halt.STOPPED if code == 0 else self._stop_program()
+        why = bytes(self.memory.words["why"]).decode("utf-8", "replace")
+        return (f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}") + (why and f": {why}")
 
     def close(self) -> None:
-        """Let it brake and end its program, and reap it."""
+        """Let it brake and end its program, and reap it; `halt` says what came of it."""
+        before = self.halt
         self.memory.words["finish"] = 1
         with suppress(OSError):
             if self.process.stdin is not None:
@@ -102,8 +112,22 @@ class LinkProcess:
         if not self.ended(END_S):
             self.process.kill()
             self.ended(END_S)
+        if self.memory.words["uploaded"] and (self.halt is None or before is Halt.UNKNOWN):
+            # Once more: a controller that had fallen silent may answer by now.
+            self.halt = self._stop_program()
+        self._errors.join(0.5)
         if self.process.stdout is not None:
             self.process.stdout.close()
+
+    def _log_errors(self) -> None:
+        """What it and the client's library print as errors is for whoever looks for a defect."""
+        stream = self.process.stderr
+        if stream is not None:
+            with stream:
+                for line in stream:
+                    text = line.decode("utf-8", "replace").rstrip()
+                    self._last_error = text or self._last_error
+                    _log.debug("the link: %s", text)
 
     def _ask(self, settings: dict[str, Any]) -> dict[str, object]:
         """Its first line of JSON. The client's library prints lines of its own, which are logged."""
@@ -128,5 +152,6 @@ class LinkProcess:
                 _log.debug("ur-rtde: %s", text)
             if not data:
                 break
-        last = next((x for x in reversed(lines) if x), "it said nothing")
+        self._errors.join(0.1)
+        last = self._last_error or next((x for x in reversed(lines) if x), "it said nothing")
         return {"error": f"the link did not start ({last})"}

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hardware.base import Camera, Robot
+from hardware.base import Camera, Halt, Robot
 from hardware.emulator.camera import EmulatedCamera
 from hardware.emulator.lab import LabClient
 from hardware.realsense import RealSense
@@ -42,6 +42,7 @@ class Devices:
         clock: s on the robot's clock now.
         truth: the simulator's own state, for scoring and for labelled use only; None at a real robot.
         resume: what to do once a person has acknowledged a protective stop; None where there are none.
+        halt: lets go of the robot, and says what is then known of it; None where nothing moves by itself.
     """
 
     robot: Robot
@@ -49,6 +50,7 @@ class Devices:
     clock: Callable[[], float]
     truth: Callable[[], State] | None
     resume: Callable[[], None] | None = None
+    halt: Callable[[], Halt | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -185,7 +187,7 @@ class _Ur7eLab(AbstractContextManager[Devices]):
             for camera in self._cameras:
                 pose = partial(_pose_now, rig, camera, robot)
                 cameras[camera.name] = self._stack.enter_context(RealSense(camera, pose, clock=robot.clock))
-        return Devices(robot, cameras, robot.clock, truth, robot.acknowledge_stop)
+        return Devices(robot, cameras, robot.clock, truth, robot.acknowledge_stop, robot.halt)
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()

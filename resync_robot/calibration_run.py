@@ -168,8 +168,8 @@ def _keeping(config: LookConfig, folder: Path) -> Iterator[None]:
         if not (kept / "shots.json").exists():
             raise
         raise CalibrationError(f"{error.what}. The pictures are kept: --views {kept}", error.fix) from None
-    except ResyncError:
-        # The robot stopped, say.
+    except (ResyncError, KeyboardInterrupt):
+        # The robot stopped, say, or whoever calibrates ended it.
         if (kept / "shots.json").exists():
             say(f"The pictures so far are kept: --views {kept}")
         raise

@@ -11,6 +11,7 @@ import os
 import select
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import tyro
@@ -23,6 +24,7 @@ from resync_robot.doctor import DoctorConfig, doctor
 from resync_robot.emulate import EmulateConfig, emulate
 from resync_robot.evaluate import EvaluateConfig, evaluate
 from resync_robot.review import ReviewConfig, review
+from resync_robot.signals import ended_by, number_of, raised, words_for
 from resync_robot.train import TrainConfig, train
 
 COMMANDS: dict[str, tuple[type, Callable[[Any], int | None]]] = {
@@ -43,12 +45,14 @@ Every command takes -v (--verbose) to log at debug level. --version prints the v
 
 PACKAGES = ("resync_robot", "sim_training", "policies", "perception", "hardware", "calibration")
 
-BAD_INPUT, INTERRUPTED, UNREAD = 2, 130, 141
-"""Exit codes; 0 is success, 1 a defect of this program. The latter two as a shell has them: 128 + SIGINT or SIGPIPE."""
+BAD_INPUT, SIGNALLED, UNREAD = 2, 128, 141
+"""Exit codes; 0 is success, 1 a defect of this program. To SIGNALLED the signal's number is added, as a shell does;
+UNREAD is that of SIGPIPE."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command and return its exit code; end quietly where the reader of its output has left (`| head`)."""
+    code = 0
     try:
         try:
             code = _run(argv)
@@ -58,10 +62,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(end="", flush=True)
         return code
-    except BrokenPipeError:
-        # A worker's pipe breaks with the same error, and that is a defect to be seen.
+    except OSError as error:
+        # A closed pipe, or a terminal that is gone, which SIGHUP tells first. A worker's pipe breaks with the same
+        # error, and that is a defect to be seen.
         if not _unread():
             raise
+        ended = ended_by(error)
+        code = code if ended is None else SIGNALLED + ended
     except SystemExit as end:
         # Rich answers a closed pipe by this, with code 1.
         if not isinstance(end.__context__, BrokenPipeError):
@@ -70,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for output in _unread():
         # What is still buffered has to go somewhere when the interpreter ends.
         os.dup2(nowhere, output)
-    return UNREAD
+    return code if code > SIGNALLED else UNREAD
 
 
 def _unread() -> list[int]:
@@ -99,13 +106,17 @@ def _run(argv: Sequence[str] | None) -> int:
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitSubcommandPrefixes),
         )
         run = next(function for settings, function in COMMANDS.values() if settings is type(config))
-        return run(config) or 0
+        with raised():
+            return run(config) or 0
     except ResyncError as error:
         print(f"error: {error}", file=sys.stderr)
         return BAD_INPUT
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return INTERRUPTED
+    except KeyboardInterrupt as end:
+        number = number_of(end)
+        # The terminal may have gone, which is what SIGHUP says.
+        with suppress(OSError):
+            print(words_for(number), file=sys.stderr)
+        return SIGNALLED + number
 
 
 def refuse_empty(args: Sequence[str]) -> None:

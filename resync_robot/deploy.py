@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -11,14 +12,18 @@ from resync_robot.core.errors import ConfigError
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from hardware.base import ProtectiveStopError
+    from hardware.base import Halt, ProtectiveStopError
     from perception.segment import Segmenter
     from resync_robot.backends import Devices
     from resync_robot.core.episode import Episode
     from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain, Task
-    from resync_robot.planning.execute import Model, Result
+    from resync_robot.planning.execute import End, Model, Result
+
+
+BEWARE = "keep away from the robot or press its emergency stop; then look at it, the cable and the controller"
+"""What to do where nobody knows whether it has stopped."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,19 +81,22 @@ def deploy(config: DeployConfig) -> int:
     """Run the episodes of `config`, each recorded whether it succeeds or not.
 
     Returns:
-        0 when every episode reached its goal, or was planned in a dry run, else 3.
+        0 when every episode reached its goal, or was planned in a dry run, else 3; 3 as well where nobody knows
+        whether the robot has stopped.
 
     Raises:
         ResyncError: bad input, or a machine that cannot be used.
+        KeyboardInterrupt: somebody ended it; the episode's recording is whole, and has been named.
     """
+    from hardware.base import Halt
     from resync_robot.core.library import load_library
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import camera_recovery, learned_model, sees_by_camera, shipped_library
     from resync_robot.learning.camera_view import VIEWS
-    from resync_robot.planning.execute import End
     from resync_robot.planning.suppose import find_plan
     from resync_robot.progress import say
     from resync_robot.run_folder import check_folder, default_folder
+    from resync_robot.signals import held
     from sim_training.domains import find_domain
 
     if config.episodes < 1:
@@ -119,6 +127,12 @@ def deploy(config: DeployConfig) -> int:
             find_plan(model.operators, model.abstraction, task.objects, atoms, task.goal)
     folder = config.out or default_folder("deploy")
     check_folder(folder)
+    paths = [folder / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap" for i, task in enumerate(tasks)]
+    for path in paths:
+        if path.exists():
+            raise ConfigError(
+                f"{path} exists already; recordings are never overwritten", "give another folder to --out"
+            )
     if library.rig_hash != rig.hash:
         say(f"Note: the library was learned on another rig ({library.rig_hash}, this one is {rig.hash}).")
     for line in calibration_complaints(config, rig):
@@ -142,18 +156,72 @@ def deploy(config: DeployConfig) -> int:
             f"{domain.recovery} follows its block through the simulator's state while it runs; "
             "everything else is estimated."
         )
-    succeeded = unplanned = 0
-    for i, task in enumerate(tasks):
-        path = folder / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
-        result, reached = _episode(config, rig, library, model, task, i, path, recording, segmenter)
-        succeeded += reached
-        unplanned += result.end is End.NO_PLAN
-        verdict = "goal reached" if reached else f"failed ({result.end.value}: {result.reason})"
-        say(f"Episode {i + 1}/{len(tasks)}: {verdict}; {len(result.transitions)} skills. Recording: {path}")
-        if result.end is End.NO_PLAN and not result.transitions:
-            say('  -> See what it saw in the recording, or give another --goal, such as --goal "On(b1,b0)".')
-    say(f"{succeeded} of {len(tasks)} episodes reached the goal. Review:  resync-robot review {path}")
-    return 0 if succeeded == len(tasks) or (config.dry_run and not unplanned) else 3
+    good = 0
+    for i, (task, path) in enumerate(zip(tasks, paths, strict=True)):
+        # Whoever ends the program meanwhile waits until the robot is let go and the recording closed and named.
+        with held():
+            outcome = _episode(config, rig, library, model, task, i, path, recording, segmenter)
+            good += outcome.good
+            try:
+                say(f"Episode {i + 1}/{len(tasks)}: {outcome.verdict}; {outcome.skills} skills. Recording: {path}")
+            finally:
+                # Also where the terminal is gone that this was to be said on.
+                if outcome.error is not None:
+                    raise outcome.error
+            if outcome.fix:
+                say(f"  -> {outcome.fix}")
+        if outcome.halt is Halt.UNKNOWN and i + 1 < len(tasks):
+            say(f"The other {len(tasks) - i - 1} episodes are not begun: {outcome.halt.value}.")
+            break
+    done = "were planned" if config.dry_run else "reached the goal"
+    say(f"{good} of {len(tasks)} episodes {done}. Review:  resync-robot review {path}")
+    return 0 if good == len(tasks) and outcome.halt is not Halt.UNKNOWN else 3
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """How an episode ended.
+
+    Attributes:
+        reached: whether its goal holds, in truth where that can be had.
+        skills: how many were run to an end.
+        halt: what is known of the robot; None where nothing moves by itself.
+        error: what ends the program with the episode.
+        fix: what to do about it.
+    """
+
+    result: Result
+    reached: bool
+    skills: int
+    halt: Halt | None
+    error: BaseException | None = None
+    fix: str = ""
+
+    @property
+    def good(self) -> bool:
+        """It came to what it was to come to."""
+        from resync_robot.planning.execute import End
+
+        return self.reached or self.result.end is End.PLANNED
+
+    @property
+    def verdict(self) -> str:
+        """For people; also what is known of the robot, where that is not as it should be or all is not well."""
+        from hardware.base import Halt
+        from resync_robot.planning.execute import End
+
+        end, reason = self.result.end, self.result.reason
+        if self.reached:
+            words = "goal reached"
+        elif end is End.GOAL:
+            words = "failed (the robot believes that it reached the goal, and in truth it did not)"
+        else:
+            words = (
+                f"{end.value} ({reason})" if end in (End.PLANNED, End.STOPPED) else f"failed ({end.value}: {reason})"
+            )
+        if self.halt is Halt.UNKNOWN or (self.halt is not None and not self.good):
+            words += f"; {self.halt.value}"
+        return words
 
 
 def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:
@@ -236,8 +304,9 @@ def _episode(
     path: Path,
     recording: Episode | None,
     segmenter: Segmenter | None,
-) -> tuple[Result, bool]:
-    from hardware.base import RealtimeRobot, RobotError
+) -> _Outcome:
+    """Run one episode to whatever end; the robot is let go and the recording closed then."""
+    from hardware.base import Halt, RealtimeRobot, RobotError
     from resync_robot import __version__
     from resync_robot.backends import Layout, open_replay, open_simulated, open_ur7e
     from resync_robot.core.episode import EpisodeMeta, EventKind
@@ -245,9 +314,10 @@ def _episode(
     from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
     from resync_robot.doubt import doubting
-    from resync_robot.planning.execute import End, Result, begin_after, plan_f
+    from resync_robot.planning.execute import End, ExecuteSettings, Result, begin_after, plan_f
     from resync_robot.progress import say
     from resync_robot.recorder import Recorder
+    from resync_robot.signals import let_through
     from sim_training.domains import find_domain
 
     scenario = find_domain(config.domain).scenarios.get(recording.meta.scenario if recording else config.scenario)
@@ -269,8 +339,11 @@ def _episode(
         opened = open_replay(recording)
     else:
         opened = open_ur7e(Layout(config.domain, config.scenario, config.seed, index), rig)
-    # The devices come first: where there is no robot, no recording is left behind.
-    with opened as devices, EpisodeWriter(path, meta, devices.clock()) as writer:
+    with ExitStack() as stack:
+        # The devices come first: where there is no robot, no recording is left behind.
+        with let_through():
+            devices = stack.enter_context(opened)
+        writer = stack.enter_context(EpisodeWriter(path, meta, devices.clock()))
         standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"] if recording is None else []
         recorder = Recorder(
             writer,
@@ -278,7 +351,7 @@ def _episode(
             devices.truth,
             [camera.capture for camera in standing],
             live=isinstance(devices.robot, RealtimeRobot),
-            confirm=lambda step: _may_run(config, str(step)),
+            confirm=lambda step: not config.confirm or _may_run(str(step)),
             tell=say,
         )
         kind = DeployedWorld if config.perception == "camera" else OracleWorld
@@ -291,46 +364,64 @@ def _episode(
 
         model = doubting(model)
         say(f"Goal: {goal}")
+        reached, ending, fix = False, None, ""
         try:
-            world = kind(
-                devices.robot,
-                devices.cameras,
-                rig,
-                task.objects,
-                live_state=devices.truth,
-                witness=recorder,
-                on_stop=on_stop,
-                abstraction=model.abstraction,
-                segmenter=segmenter,
-            )
-            world.stream.recorders.append(recorder.on_stream)
-            if all(_may_run(config, f"{name}({', '.join(of)})") for name, of in before):
-                begin_after(world, model, before, task.objects, recorder)
-            result = plan_f(world, model, task.goal, listener=recorder)
-        except (PerceptionError, MotionError, RobotError) as error:
-            # One episode's trouble is recorded with it and leaves the others their turn.
-            recorder.on_end(End.FAULT, error.what)
-            if error.fix:
-                say(f"  -> {error.fix}")
-            result = Result(End.FAULT, error.what, (), (), task.initial)
-        if devices.truth is None:
-            reached = result.success
-        else:
-            # What the robot believes at the end does not count where the truth can be had.
-            reached = result.success and task.goal <= model.abstraction.true_atoms(devices.truth())
-    return result, reached
+            with let_through():
+                world = kind(
+                    devices.robot,
+                    devices.cameras,
+                    rig,
+                    task.objects,
+                    live_state=devices.truth,
+                    witness=recorder,
+                    on_stop=on_stop,
+                    abstraction=model.abstraction,
+                    segmenter=segmenter,
+                )
+                world.stream.recorders.append(recorder.on_stream)
+                steps = [f"{name}({', '.join(of)})" for name, of in before]
+                if not config.dry_run and all(not config.confirm or _may_run(step) for step in steps):
+                    begin_after(world, model, before, task.objects, recorder)
+                result = plan_f(world, model, task.goal, ExecuteSettings(plan_only=config.dry_run), recorder)
+                # What the robot believes at the end does not count where the truth can be had.
+                reached = result.success and (
+                    devices.truth is None or task.goal <= model.abstraction.true_atoms(devices.truth())
+                )
+            if result.end is End.NO_PLAN and not result.transitions:
+                fix = 'See what it saw in the recording, or give another --goal, such as --goal "On(b1,b0)".'
+        except BaseException as error:
+            result = Result(*_end(error), (), (), task.initial)
+            recorder.on_end(result.end, result.reason)
+            # The trouble of one episode is recorded with it, and leaves the others their turn.
+            if isinstance(error, PerceptionError | MotionError | RobotError):
+                fix = error.fix
+            else:
+                ending = error
+        recorder.let_go()
+        halt = None if devices.halt is None else devices.halt()
+        if halt is not None:
+            recorder.on_halt(halt)
+    return _Outcome(result, reached, recorder.skills, halt, ending, BEWARE if halt is Halt.UNKNOWN else fix)
 
 
-def _may_run(config: DeployConfig, step: str) -> bool:
-    if config.dry_run:
-        return False
-    if not config.confirm:
-        return True
+def _end(error: BaseException) -> tuple[End, str]:
+    """How an episode ends that is broken off by this, and why."""
+    from resync_robot.core.errors import ResyncError
+    from resync_robot.planning.execute import End
+    from resync_robot.signals import number_of, words_for
+
+    if isinstance(error, KeyboardInterrupt):
+        return End.STOPPED, words_for(number_of(error))
+    return End.FAULT, error.what if isinstance(error, ResyncError) else f"{type(error).__name__}: {error}"
+
+
+def _may_run(step: str) -> bool:
+    """Ask. Raises ConfigError where nobody can answer."""
     try:
         return input(f"Run {step}? [y/N] ").strip().lower() in ("y", "yes")
     except EOFError:
         raise ConfigError(
-            "--confirm asks before each step, and there is no terminal to answer", "drop --confirm"
+            "--confirm asks before each step, and nobody is there to answer", "run it from a terminal"
         ) from None
 
 

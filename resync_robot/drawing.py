@@ -32,7 +32,9 @@ PALM = (0.075, 0.12, 0.1)
 
 STEEL, DARK, DOUBT, BACKGROUND = (150, 165, 180), (60, 65, 70), (220, 60, 160, 90), (24, 27, 32)
 CURVES = {"requested": (120, 120, 120), "sent": (240, 150, 40), "measured": (80, 170, 240)}
-_LEVELS = {EventKind.GIVE_UP: "ERROR", EventKind.STOP: "ERROR", EventKind.REPLAN: "WARN"}
+_LEVELS = {
+    EventKind.GIVE_UP: "ERROR", EventKind.STOP: "ERROR", EventKind.MAY_MOVE: "ERROR", EventKind.REPLAN: "WARN"
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

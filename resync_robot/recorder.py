@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import cv2
 import numpy as np
 
-from hardware.base import Command, RobotState
+from hardware.base import Command, Halt, RobotState
 from resync_robot.core.episode import EventKind, Timing
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ResyncError
@@ -50,7 +50,9 @@ class Recorder(Listener):
     ) -> None:
         self._writer, self._clock, self._truth, self._confirm = writer, clock, truth, confirm
         self._cameras, self._look_every, self._next_look = cameras, look_every, 0.0
-        self._live, self._looking = live, False
+        self._live, self._looking, self._over = live, False, False
+        self.skills = 0
+        """How many have ended."""
         self._steps: tuple[GroundOperator, ...] = ()
         self._reason = ""
         self._tell = tell
@@ -72,6 +74,8 @@ class Recorder(Listener):
         """A camera in trouble is the business of whoever needs it; the recording goes on without its pictures."""
         try:
             for capture in self._cameras:
+                if self._over:
+                    return
                 try:
                     self._picture(capture())
                 except ResyncError as error:
@@ -141,13 +145,23 @@ class Recorder(Listener):
         pass
 
     def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
+        self.skills += 1
         words = f"{skill}: {outcome.ending.value}" + (f", {outcome.reason}" if outcome.reason else "")
         self._writer.event(self._clock(), EventKind.SKILL_END, words, ending=outcome.ending.value)
         self._tell(f"  {words}")
 
     def on_end(self, end: End, reason: str) -> None:
-        kind = {End.GOAL: EventKind.GOAL, End.STOPPED: EventKind.STOP}.get(end, EventKind.GIVE_UP)
-        self._writer.event(self._clock(), kind, reason or end.value)
+        kinds = {End.GOAL: EventKind.GOAL, End.PLANNED: EventKind.PLANNED, End.STOPPED: EventKind.STOP}
+        self._writer.event(self._clock(), kinds.get(end, EventKind.GIVE_UP), reason or end.value)
+
+    def let_go(self) -> None:
+        """The robot and its cameras are about to be closed: what is still to be looked at is not."""
+        self._over = True
+
+    def on_halt(self, halt: Halt) -> None:
+        """What is known of the robot once it has been let go."""
+        kind = EventKind.HALTED if halt is Halt.STOPPED else EventKind.MAY_MOVE
+        self._writer.event(self._clock(), kind, halt.value)
 
     def confirm(self, step: GroundOperator) -> bool:
         return self._confirm(step)

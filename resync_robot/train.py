@@ -70,6 +70,7 @@ def train(config: TrainConfig) -> None:
     """
     from resync_robot import run_folder
     from resync_robot.core.lock import LOCK, sole_writer
+    from resync_robot.progress import say
     from resync_robot.run_settings import CONFIG, SHAPING, RunSettings
     from sim_training.domains import find_domain
 
@@ -98,7 +99,11 @@ def train(config: TrainConfig) -> None:
             _check_renderer()
         run_folder.write_json(path / CONFIG, _kept(settings, folder))
         _quiet_threads()
-        _run(settings, config.workers, find_domain(settings.domain), folder)
+        try:
+            _run(settings, config.workers, find_domain(settings.domain), folder)
+        except KeyboardInterrupt:
+            say(f"What is done is kept. Go on with:  resync-robot train-sim --resume --out {path}")
+            raise
 
 
 def _new(path: Path, settings: RunSettings) -> RunSettings:

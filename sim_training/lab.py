@@ -144,6 +144,8 @@ class PictureProcess:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     env=os.environ | {"PYTHONPATH": path},
+                    # A Ctrl-C at the terminal is for the lab, which ends it.
+                    start_new_session=True,
                 )
             self._ask({"scene": scene})
 

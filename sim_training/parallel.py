@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing as mp
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -32,18 +33,24 @@ def parallel_map(
         return
     # OpenMP threads of two processes on two cores make each other ten times slower.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    with ProcessPoolExecutor(workers, mp.get_context("forkserver"), _start, (make_context,)) as pool:
-        pending = [pool.submit(_call, function, item) for item in items]
-        try:
-            for future in pending:
-                yield future.result()
-        finally:
-            for future in pending:
-                future.cancel()
+    others = set(mp.active_children())
+    pool = ProcessPoolExecutor(workers, mp.get_context("forkserver"), _start, (make_context,))
+    try:
+        for future in [pool.submit(_call, function, item) for item in items]:
+            yield future.result()
+    except BaseException:
+        # Nobody wants what they are still at, which may take minutes.
+        for worker in set(mp.active_children()) - others:
+            worker.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _start(make_context: Callable[[], Any]) -> None:
     global _context
+    # A Ctrl-C at the terminal is for the parent, which ends its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     import torch
 
     threading.Thread(target=_leave_with_parent, daemon=True).start()

@@ -7,7 +7,9 @@ positions and block poses out, through shared memory.
 from __future__ import annotations
 
 import multiprocessing as mp
+import signal
 from collections.abc import Sequence
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from typing import Any
@@ -93,7 +95,9 @@ class RecoveryScenes:
 
     def close(self) -> None:
         for connection in self._connections:
-            connection.send(("close", None))
+            # A signal to all processes may have ended it already.
+            with suppress(OSError):
+                connection.send(("close", None))
         for process in self._processes:
             process.join(timeout=5)
         self._local = None
@@ -193,6 +197,8 @@ def _serve(
     block: Object,
     rig: Rig,
 ) -> None:
+    # A Ctrl-C at the terminal is for the parent, which ends its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     memory = SharedMemory(name=memory_name)
     worker = _Worker(memory, count, columns, mine, tasks, block, rig)
     connection.send("ready")

@@ -62,6 +62,13 @@ def rig_file(folder: Path) -> Path:
 @contextmanager
 def lab(folder: Path, *faults: str) -> Iterator[Path]:
     """`resync-robot emulate` in a process of its own; its rig file."""
+    with lab_process(folder, *faults) as (rig, _):
+        yield rig
+
+
+@contextmanager
+def lab_process(folder: Path, *faults: str) -> Iterator[tuple[Path, subprocess.Popen[str]]]:
+    """The same, and the process."""
     need_client()
     rig = rig_file(folder)
     words = [sys.executable, "-m", "resync_robot", "emulate", "--rig", str(rig)]
@@ -69,7 +76,7 @@ def lab(folder: Path, *faults: str) -> Iterator[Path]:
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None and "stands at" in process.stdout.readline()
-            yield rig
+            yield rig, process
         finally:
             process.terminate()
 

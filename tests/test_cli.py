@@ -2,6 +2,7 @@
 
 import logging
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -139,7 +140,38 @@ def test_a_defect_keeps_its_traceback(given) -> None:
 def test_control_c_is_one_line_and_code_130(given, capsys: pytest.CaptureFixture[str]) -> None:
     given("doctor", KeyboardInterrupt())
     assert exit_code("doctor") == 130
-    assert capsys.readouterr().err == "interrupted\n"
+    assert capsys.readouterr().err == "interrupted by Ctrl-C\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_end_is_one_line_and_the_code_that_a_shell_has(number: signal.Signals) -> None:
+    code = doctor_that(f"import os, time; os.kill(os.getpid(), {int(number)}); time.sleep(60)")
+    outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (outcome.returncode, outcome.stderr) == (128 + number, f"ended by {number.name}\n")
+
+
+def test_a_terminal_that_is_gone_is_no_defect() -> None:
+    """Its hang-up ends the command in order, though nobody can be told."""
+    master, slave = os.openpty()
+    cleaned = "try: print('runs', flush=True); time.sleep(60)\n    finally: os.write(3, b'clean'); print('bye')"
+    reading, writing = os.pipe()
+    code = doctor_that(f"\n    import os, time\n    {cleaned}")
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"import os, fcntl, termios; os.dup2({writing}, 3)\n"
+         "os.setsid(); fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n" + code],
+        stdin=slave, stdout=slave, stderr=slave, pass_fds=(writing,),
+    )  # fmt: skip
+    os.close(slave)
+    os.close(writing)
+    try:
+        assert b"runs" in os.read(master, 1024)
+        os.close(master)
+        assert process.wait(60) == 128 + signal.SIGHUP
+        assert os.read(reading, 100) == b"clean"
+    finally:
+        os.close(reading)
+        process.kill()
+        process.wait()
 
 
 @pytest.mark.parametrize(("result", "code"), [(None, 0), (0, 0), (2, 2)])

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +16,16 @@ import numpy as np
 import pytest
 
 from hardware import room
-from resync_robot import cli, deploy, deployed_world
+from hardware.base import Halt
+from resync_robot import backends, cli, deploy, deployed_world
 from resync_robot.core.episode import EventKind, read_episode
-from resync_robot.core.errors import ConfigError, RenderError
+from resync_robot.core.episode_writer import EpisodeWriter
+from resync_robot.core.errors import RenderError
 from resync_robot.core.library import save_library
-from resync_robot.core.rig import load_rig
+from resync_robot.core.rig import Rig, load_rig
 from resync_robot.deploy import DeployConfig
 from resync_robot.planning import execute
+from resync_robot.recorder import Recorder
 from sim_training.domains import find_domain, world_task
 from sim_training.world import SimWorld
 from tests import scenes
@@ -99,18 +106,7 @@ def test_the_world_and_goal_are_those_of_the_scenario_unless_a_goal_is_given() -
 def test_a_step_is_confirmed_by_a_word_only(monkeypatch: pytest.MonkeyPatch) -> None:
     for word, allowed in (("y", True), ("Yes ", True), ("", False), ("n", False), ("why", False)):
         monkeypatch.setattr("builtins.input", lambda prompt, word=word: word)
-        assert deploy._may_run(DeployConfig(confirm=True), "Pick(r, b0)") is allowed
-    assert deploy._may_run(DeployConfig(), "Pick(r, b0)")
-    assert not deploy._may_run(DeployConfig(dry_run=True), "Pick(r, b0)")
-
-
-def test_without_a_terminal_to_ask_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    def closed(prompt: str) -> str:
-        raise EOFError
-
-    monkeypatch.setattr("builtins.input", closed)
-    with pytest.raises(ConfigError, match="no terminal"):
-        deploy._may_run(DeployConfig(confirm=True), "Pick(r, b0)")
+        assert deploy._may_run("Pick(r, b0)") is allowed
 
 
 def episodes(folder: Path) -> list[Path]:
@@ -123,11 +119,14 @@ def test_a_dry_run_looks_plans_records_and_moves_no_skill(
     out = tmp_path / "run"
     args = ["--library", str(library), "--perception", "oracle", "--dry-run", "--out", str(out)]
     assert cli.main(["deploy", *args]) == 0
-    assert "Pick(r, b1), Insert(r, b1, b0)" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "Pick(r, b1), Insert(r, b1, b0)" in shown
+    assert "Episode 1/1: planned (2 steps); 0 skills" in shown and "1 of 1 episodes were planned" in shown
+    assert "failed" not in shown and "reached the goal" not in shown
     (path,) = episodes(out)
     episode = read_episode(path)
     assert episode.damage is None
-    assert [e.kind for e in episode.events()] == [EventKind.STOP]
+    assert [(e.kind, e.text) for e in episode.events()] == [(EventKind.PLANNED, "2 steps")]
     assert episode.meta.scenario == "s1" and episode.meta.goal == "On(b1, b0)"
     assert episode.meta.library_hash == given_library().content_hash
     assert next(episode.plans()).steps == ("Pick(r, b1)", "Insert(r, b1, b0)")
@@ -152,6 +151,134 @@ def test_a_step_that_is_not_confirmed_is_not_run(
     assert asked == ["Run Pick(r, b1)? [y/N] "]
     (path,) = episodes(out)
     assert [e.kind for e in read_episode(path).events()] == [EventKind.STOP]
+
+
+def oracle(library: Path, out: Path, *more: str) -> int:
+    """The exit code of a deployment to `out` that sees by the simulator's state."""
+    return cli.main(["deploy", "--library", str(library), "--perception", "oracle", "--out", str(out), *more])
+
+
+def test_without_a_terminal_to_ask_it_says_so_and_where_the_recording_is(
+    renderer: None, library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def closed(prompt: str) -> str:
+        raise EOFError
+
+    monkeypatch.setattr("builtins.input", closed)
+    assert oracle(library, tmp_path / "run", "--confirm") == 2
+    shown = capsys.readouterr()
+    assert "nobody is there to answer" in shown.err and "run it from a terminal" in shown.err
+    assert "drop" not in shown.err
+    (path,) = episodes(tmp_path / "run")
+    assert f"Recording: {path}" in shown.out
+    assert [e.kind for e in read_episode(path).events()] == [EventKind.GIVE_UP]
+
+
+def test_a_recording_that_exists_is_found_before_anything_connects(
+    library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(backends, "open_simulated", lambda *_: pytest.fail("connected"))
+    old = tmp_path / f"episode-001-s1-seed{deploy._task(DeployConfig(), find_domain(DOMAIN), 1).seed}.mcap"
+    old.write_bytes(b"precious")
+    assert oracle(library, tmp_path, "--episodes", "2") == 2
+    assert f"{old} exists already" in (error := capsys.readouterr().err) and "--out" in error
+    assert old.read_bytes() == b"precious" and episodes(tmp_path) == [old]
+
+
+def tell_to_end(number: int) -> Callable[..., Any]:
+    """Does nothing but to have this process told to end."""
+    return lambda *_, **__: os.kill(os.getpid(), number)
+
+
+def before(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, happen: Callable[..., Any]) -> None:
+    """Have `happen` happen before a method does what it does."""
+    original = getattr(owner, name)
+
+    def both(*args: Any, **kwargs: Any) -> Any:
+        happen()
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(owner, name, both)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("phase", ["look", "plan", "confirm", "motion"])
+def test_whoever_ends_it_finds_a_whole_recording_that_says_so(
+    renderer: None,
+    library: Path,
+    tmp_path: Path,
+    phase: str,
+    number: signal.Signals,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    end = tell_to_end(number)
+    monkeypatch.setattr("builtins.input", end if phase == "confirm" else lambda prompt: "y")
+    if phase == "look":
+        before(monkeypatch, deployed_world.OracleWorld, "perceive", end)
+    if phase == "plan":
+        before(monkeypatch, Recorder, "on_plan", end)
+    if phase == "motion":
+        before(monkeypatch, Recorder, "on_stream", end)
+    assert oracle(library, tmp_path / "run", "--confirm", "--episodes", "2") == 128 + number
+    shown = capsys.readouterr()
+    words = "interrupted by Ctrl-C" if number == signal.SIGINT else f"ended by {number.name}"
+    assert shown.err.splitlines()[-1] == words and "Traceback" not in shown.err
+    (path,) = episodes(tmp_path / "run")
+    assert f"Episode 1/2: stopped ({words}); 0 skills. Recording: {path}" in shown.out
+    episode = read_episode(path)
+    assert episode.damage is None
+    last = list(episode.events())[-1]
+    assert (last.kind, last.text) == (EventKind.STOP, words)
+
+
+@pytest.mark.parametrize(("owner", "name"), [(Recorder, "let_go"), (EpisodeWriter, "close")])
+def test_ended_while_it_ends_the_recording_is_whole_all_the_same(
+    renderer: None,
+    library: Path,
+    tmp_path: Path,
+    owner: type,
+    name: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before(monkeypatch, owner, name, tell_to_end(signal.SIGTERM))
+    assert oracle(library, tmp_path / "run", "--dry-run", "--episodes", "2") == 128 + signal.SIGTERM
+    (path,) = episodes(tmp_path / "run")
+    assert f"Episode 1/2: planned (2 steps); 0 skills. Recording: {path}" in capsys.readouterr().out
+    episode = read_episode(path)
+    assert episode.damage is None and [e.kind for e in episode.events()] == [EventKind.PLANNED]
+
+
+@pytest.mark.parametrize("halt", Halt)
+def test_what_is_known_of_the_robot_is_the_same_in_result_recording_and_exit_code(
+    renderer: None,
+    library: Path,
+    tmp_path: Path,
+    halt: Halt,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Simulated devices in place of a real arm's, which is let go when all else is done."""
+
+    @contextmanager
+    def opened(layout: backends.Layout, rig: Rig) -> Iterator[backends.Devices]:
+        task = world_task(find_domain(layout.domain), layout.scenario, layout.seed, layout.episode)
+        with backends.open_simulated(task, rig) as devices:
+            yield replace(devices, halt=lambda: halt)
+
+    monkeypatch.setattr(backends, "open_ur7e", opened)
+    known = halt is Halt.STOPPED
+    out = tmp_path / "run"
+    code = oracle(library, out, "--backend", "ur7e", "--rig", RIG, "--dry-run", "--episodes", "2")
+    shown = capsys.readouterr().out
+    assert code == (0 if known else 3)
+    assert ("assume that it may still move" in shown) != known and ("emergency stop" in shown) != known
+    # Nothing is begun with a robot of which nobody knows whether it moves.
+    assert len(episodes(out)) == (2 if known else 1) and ("other 1 episodes are not begun" in shown) != known
+    for path in episodes(out):
+        last = list(read_episode(path).events())[-1]
+        assert (last.kind, last.text) == (EventKind.HALTED if known else EventKind.MAY_MOVE, halt.value)
 
 
 @pytest.mark.slow
@@ -189,11 +316,11 @@ def test_an_arm_that_stands_where_it_cannot_be_driven_leaves_the_other_episodes_
     monkeypatch.setattr(deployed_world, "OracleWorld", First)
     out = tmp_path / "run"
     args = ["--library", str(library), "--perception", "oracle", "--dry-run", "--episodes", "2", "--out", str(out)]
-    assert cli.main(["deploy", *args]) == 0
+    assert cli.main(["deploy", *args]) == 3, "a fault is no plan"
     shown = capsys.readouterr().out
     assert "by hand on the teach pendant" in shown
     assert "Episode 1/2: failed (fault: the arm cannot be driven from where it stands" in shown
-    assert "Episode 2/2: failed (stopped" in shown
+    assert "Episode 2/2: planned (2 steps)" in shown and "1 of 2 episodes were planned" in shown
     first, second = (read_episode(path) for path in episodes(out))
     assert [e.kind for e in first.events()] == [EventKind.GIVE_UP]
     assert next(second.plans()).steps
@@ -209,7 +336,8 @@ def test_a_scene_without_a_plan_leaves_the_other_episodes_their_turn(
     assert cli.main(["deploy", *args]) == 3
     shown = capsys.readouterr().out
     assert "Episode 1/2: failed (no plan: no plan reaches On(b1, b0))" in shown and "another --goal" in shown
-    assert "Episode 2/2: failed (stopped" in shown and len(episodes(tmp_path)) == 2
+    assert "Episode 2/2: planned (2 steps)" in shown and len(episodes(tmp_path)) == 2
+    assert "1 of 2 episodes were planned" in shown
 
 
 def test_without_a_vulkan_device_physics_goes_on_and_pictures_are_one_error(library: Path, tmp_path: Path) -> None:

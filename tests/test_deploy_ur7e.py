@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+from hardware.base import Halt
 from resync_robot import cli
 from resync_robot.core.episode import Episode, EventKind, read_episode
 from resync_robot.core.errors import RenderError
 from resync_robot.core.rig import load_rig
+from resync_robot.core.skill import GroundSkill
+from resync_robot.recorder import Recorder
 from sim_training.world import SimWorld
 from tests import emulators, scenes
 
@@ -39,7 +43,7 @@ def test_a_task_is_done_by_camera_and_wholly_recorded(tmp_path: Path) -> None:
     code, episode = deployed(tmp_path)
     assert code == 0 and episode.damage is None
     kinds = [event.kind for event in episode.events()]
-    assert kinds.count(EventKind.SKILL_END) == 2 and kinds[-1] is EventKind.GOAL
+    assert kinds.count(EventKind.SKILL_END) == 2 and kinds[-2:] == [EventKind.GOAL, EventKind.HALTED]
     assert episode.cameras == ("front", "side", "wrist")
     joints = list(episode.joints())
     # It counts from the episode's beginning, not from when the controller was switched on.
@@ -71,7 +75,32 @@ def test_a_protective_stop_that_nobody_clears_ends_the_episode(tmp_path: Path, m
     code, episode = deployed(tmp_path, "protective-stop@5")
     assert code == 3
     events = list(episode.events())
-    assert events[-1].kind is EventKind.GIVE_UP and "protective stop" in events[-1].text
+    assert events[-2].kind is EventKind.GIVE_UP and "protective stop" in events[-2].text
+    assert events[-1].kind is EventKind.HALTED
     (stop,) = (event.time for event in events if event.kind is EventKind.STOP)
     joints = list(episode.joints())
     assert joints and joints[-1].time < stop + 0.1
+
+
+def test_nobody_says_of_a_controller_that_is_gone_that_its_robot_has_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out, begin = tmp_path / "run", Recorder.on_skill_start
+    with emulators.lab_process(tmp_path) as (rig, process):
+
+        def switch_off(recorder: Recorder, skill: GroundSkill) -> None:
+            begin(recorder, skill)
+            threading.Timer(1.0, process.kill).start()
+
+        monkeypatch.setattr(Recorder, "on_skill_start", switch_off)
+        words = ("--backend", "ur7e", "--scenario", "s4", "--seed", "1001", "--out", str(out), "--rig", str(rig))
+        assert cli.main(["deploy", *words, "--episodes", "2"]) == 3
+    shown = capfd.readouterr()
+    assert "Traceback" not in shown.err and "has been stopped" not in shown.out + shown.err
+    assert "assume that it may still move" in shown.out and "assume that it may still move" in shown.err
+    (path,) = out.glob("*.mcap")
+    episode = read_episode(path)
+    assert episode.damage is None
+    give_up, known = list(episode.events())[-2:]
+    assert give_up.kind is EventKind.GIVE_UP and "stopped" not in give_up.text
+    assert (known.kind, known.text) == (EventKind.MAY_MOVE, Halt.UNKNOWN.value)

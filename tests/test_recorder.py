@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import Command, RobotState, StaleError
+from hardware.base import Command, Halt, RobotState, StaleError
 from resync_robot.core.episode import Episode, EpisodeMeta, EventKind, Timing, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
@@ -98,6 +98,7 @@ def test_plans_and_skills_are_told_and_recorded_in_their_order(path: Path) -> No
     ("end", "kind"),
     [
         (End.GOAL, EventKind.GOAL),
+        (End.PLANNED, EventKind.PLANNED),
         (End.STOPPED, EventKind.STOP),
         (End.NO_PLAN, EventKind.GIVE_UP),
         (End.EXHAUSTED, EventKind.GIVE_UP),
@@ -203,3 +204,22 @@ def test_doubt_is_told_and_recorded_with_its_figures(path: Path) -> None:
     assert unsettled.details["objects"] == ["b1"] and "did not find b1" in unsettled.text
     assert "after 3 looks" in event.text
     assert any("in doubt" in line and "0.62" in line for line in session.told)
+
+
+@pytest.mark.parametrize(("halt", "kind"), [(Halt.STOPPED, EventKind.HALTED), (Halt.UNKNOWN, EventKind.MAY_MOVE)])
+def test_what_is_known_of_a_robot_at_the_end_is_an_event(path: Path, halt: Halt, kind: EventKind) -> None:
+    s = Session(path)
+    s.recorder.on_halt(halt)
+    (event,) = s.read().events()
+    assert (event.kind, event.text) == (kind, halt.value)
+
+
+def test_once_the_robot_is_let_go_its_cameras_are_left_alone(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    def gone() -> CameraFrame:
+        raise StaleError("the camera is closed")
+
+    s = Session(path, cameras=[gone], live=True)
+    s.recorder.let_go()
+    command = Command(0.0, JointTarget(np.zeros(6), 0.1), JointTarget(np.zeros(6), 0.1))
+    s.recorder.on_stream(RobotState(0.0, np.zeros(6), np.zeros(6), np.zeros(3), 0.09), command)
+    assert s.read().damage is None and not caplog.records

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -65,6 +66,16 @@ def test_cuda_without_a_device_is_an_error_that_says_what_to_use(monkeypatch: py
     with pytest.raises(ConfigError, match="no CUDA device") as caught:
         train.train(TrainConfig(device="cuda"))
     assert "--device cpu" in caught.value.fix
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_that_somebody_ends_says_how_to_go_on(
+    number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(train, "_run", lambda *_: os.kill(os.getpid(), number))
+    out = tmp_path / "run"
+    assert cli.main(["train-sim", "--skills", "state", "--out", str(out)]) == 128 + number
+    assert f"Go on with:  resync-robot train-sim --resume --out {out}" in capsys.readouterr().out
 
 
 @pytest.fixture

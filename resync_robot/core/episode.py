@@ -9,7 +9,7 @@
 | /truth | the same from a simulator that knows; never in a recording of a real robot |
 | /atoms | text of each atom -> probability |
 | /plan | steps, index of the one under way, why it was planned |
-| /event | scan, skill start and end, replan, give-up, goal, stop |
+| /event | scan, skill start and end, replan, give-up, goal, stop, and what is known of a real robot at the end |
 | /timing | of each target: exposure of what was looked at before it, asked, first setpoint due, seconds of computing |
 | /camera/NAME/info | intrinsics and pose |
 | /camera/NAME/{colour,depth} | sensor_msgs/CompressedImage: JPEG, and 16-bit PNG (unit 1e-4 m, 0 = nothing) |
@@ -72,8 +72,14 @@ class EventKind(Enum):
     REPLAN = "replan"
     GIVE_UP = "give up"
     GOAL = "goal"
+    PLANNED = "planned"
+    """The end of a dry run that found a plan."""
     STOP = "stop"
-    """A safety refusal or a fault of the robot."""
+    """The robot stopped by itself, or somebody declined a step or ended the program."""
+    HALTED = "halted"
+    """Of a real robot at the end: its controller says that the program has ended."""
+    MAY_MOVE = "may move"
+    """In place of HALTED: nobody knows whether it has."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ from resync_robot.core.world import CameraFrame
 FLUSH_S = 1.0
 MOST_WAITING = 20_000
 """Messages in memory at which the disk is given up as too slow; minutes of them."""
-LEVELS = {EventKind.STOP: 40, EventKind.GIVE_UP: 40, EventKind.REPLAN: 30}
+LEVELS = {EventKind.STOP: 40, EventKind.GIVE_UP: 40, EventKind.MAY_MOVE: 40, EventKind.REPLAN: 30}
 _log = logging.getLogger(__name__)
 
 

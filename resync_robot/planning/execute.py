@@ -69,8 +69,10 @@ class End(Enum):
     """The same skill failed too often."""
     EXHAUSTED = "exhausted"
     """Too many skills were run."""
+    PLANNED = "planned"
+    """A plan was found, and none of it was to be run."""
     STOPPED = "stopped"
-    """The user declined a step."""
+    """The user declined a step, or ended the program."""
     FAULT = "fault"
     """The scene could not be perceived, or a motion was refused."""
 
@@ -123,6 +125,8 @@ class ExecuteSettings:
     """Failures of a ground skill that should restore a learned atom, from which on the atom is taken for granted. One
     after which the skill itself says that it is done counts twice: it and what was learned cannot both be right."""
     heuristic: str = "lmcut"
+    plan_only: bool = False
+    """End with the first plan, and run none of it."""
 
 
 def plan_f(
@@ -170,6 +174,8 @@ def plan_f(
         plans.append(found)
         supposed_before.add(supposed)
         listener.on_plan(found, f"{reason}; no plan otherwise, perhaps {supposed}" if supposed else reason)
+        if s.plan_only:
+            return ended(End.PLANNED, f"{len(found.steps)} steps")
         for index, step in enumerate(found.steps):
             if not step.applicable(atoms):
                 missing = ", ".join(map(str, sorted(step.preconditions - atoms)))

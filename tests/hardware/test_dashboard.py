@@ -39,3 +39,24 @@ def test_a_silent_server_is_one_error_in_time() -> None:
 def test_it_must_be_connected() -> None:
     with pytest.raises(RobotError, match="not connected"):
         Dashboard("127.0.0.1").ask("robotmode")
+
+
+def test_a_program_is_stopped_only_by_the_controllers_own_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hardware.dashboard.END_S", 0.2)
+    with emulators.emulated() as machine, Dashboard(machine.address) as dashboard:
+        assert dashboard.stop_program(), "none runs"
+        machine.call(lambda: machine.controller.start_program("rtde_control"))
+        # As in local control, where the order is refused.
+        machine.call(lambda: setattr(machine.controller, "remote", False))
+        assert not dashboard.stop_program() and machine.controller.program is not None
+        machine.call(lambda: setattr(machine.controller, "remote", True))
+        assert dashboard.stop_program() and machine.controller.program is None
+
+
+def test_another_server_stops_no_program() -> None:
+    with (
+        emulators.stranger(b"Stopped\n") as port,
+        Dashboard("127.0.0.1", port, timeout=0.5) as dashboard,
+        pytest.raises(RobotError, match="is this a UR controller"),
+    ):
+        dashboard.stop_program()

@@ -17,6 +17,7 @@ from hardware.base import (
     Command,
     Connected,
     GripperState,
+    Halt,
     RealtimeRobot,
     RobotError,
     SafetyError,
@@ -61,6 +62,8 @@ class Lab:
         monkeypatch.setenv("CLIENT_Q", " ".join(map(str, self.rig(5.0).arm.home)))
         self._monkeypatch = monkeypatch
         self.stopped: list[str] = []
+        self.knowledge = Halt.STOPPED
+        """What an attempt to stop the program on the dashboard leaves."""
         self.drivers: list[Ur7e] = []
 
     @staticmethod
@@ -72,9 +75,13 @@ class Lab:
         """A driver whose link has begun."""
         self._monkeypatch.setenv("CLIENT_FAULT", fault)
         driver = Ur7e(self.rig(freshness), Hand())
-        driver._link = LinkProcess("127.0.0.1", driver._settings(), lambda: self.stopped.append("program"))
+        driver._link = LinkProcess("127.0.0.1", driver._settings(), self._stop_program)
         self.drivers.append(driver)
         return driver
+
+    def _stop_program(self) -> Halt:
+        self.stopped.append("program")
+        return self.knowledge
 
     def lines(self) -> list[str]:
         return self._log.read_text().splitlines()
@@ -157,7 +164,7 @@ def test_what_is_recorded_as_sent_is_what_went_out_then(lab: Lab) -> None:
 
 def test_a_setpoint_that_the_client_refuses_is_not_recorded_as_sent(lab: Lab) -> None:
     driver = lab.connect("refuse")
-    with pytest.raises(RobotError, match="control program was stopped"):
+    with pytest.raises(RobotError, match="control program took no more setpoints"):
         Stream(driver, lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 1.0)
     assert len(driver.sent_at()) == len(lab.wire())
     np.testing.assert_array_equal(driver.last_sent().arm, lab.wire()[-1])
@@ -214,11 +221,70 @@ def test_a_way_to_rest_is_taken_once_and_stays_the_drivers_own(lab: Lab) -> None
     assert len(lab.wire()) == 40
 
 
-def test_a_link_that_crashes_has_its_program_stopped(lab: Lab) -> None:
+@pytest.mark.parametrize("knowledge", Halt)
+def test_a_link_that_crashes_has_its_program_stopped_and_shows_nobody_its_traceback(
+    lab: Lab, knowledge: Halt, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    lab.knowledge = knowledge
     driver = lab.connect("raise")
-    with pytest.raises(StaleError, match="code 4"):
+    with caplog.at_level("DEBUG", logger="hardware.ur_process"):
+        with pytest.raises(
+            StaleError, match=r"lost \(its process ended with code 4: the library has a bad day\)"
+        ) as error:
+            Stream(driver, lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 1.0)
+        assert lab.stopped == ["program"] and "stopped" not in str(error.value)
+        assert driver.halt() is knowledge
+    # Whoever could not be asked then is asked once more at the end.
+    assert lab.stopped == ["program"] * (1 if knowledge is Halt.STOPPED else 2)
+    assert capfd.readouterr().err == ""
+    assert "RuntimeError: the library has a bad day" in caplog.text, "for whoever looks for the defect"
+    warned = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert warned == ([] if knowledge is Halt.STOPPED else [Halt.UNKNOWN.value])
+
+
+def test_a_controller_that_answers_again_at_the_end_is_believed(lab: Lab) -> None:
+    lab.knowledge = Halt.UNKNOWN
+    driver = lab.connect("raise")
+    with pytest.raises(StaleError):
         Stream(driver, lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 1.0)
-    assert lab.stopped == ["program"]
+    lab.knowledge = Halt.STOPPED
+    assert driver.halt() is driver.halt() is Halt.STOPPED
+
+
+def test_at_a_usual_end_the_controllers_word_is_enough(lab: Lab) -> None:
+    driver = lab.connect()
+    assert driver.halt() is Halt.STOPPED and lab.stopped == []
+    assert lab.lines()[-1] == "end"
+
+
+@pytest.mark.parametrize("knowledge", Halt)
+def test_a_program_that_does_not_end_when_it_is_asked_to_is_not_taken_for_ended(lab: Lab, knowledge: Halt) -> None:
+    lab.knowledge = knowledge
+    driver = lab.connect("stays")
+    assert driver.halt() is knowledge and lab.stopped == ["program"]
+
+
+def test_a_program_that_takes_no_setpoints_may_still_run(lab: Lab) -> None:
+    driver = lab.connect("refuse")
+    with pytest.raises(RobotError, match="took no more setpoints"):
+        Stream(driver, lab.rig(5.0)).run(turned(lab.rig(5.0), 0.05), 1.0)
+    lab.knowledge = Halt.UNKNOWN
+    assert driver.halt() is Halt.UNKNOWN and lab.stopped == ["program"]
+
+
+def test_of_a_robot_that_was_never_connected_nothing_has_to_be_known(lab: Lab) -> None:
+    driver = Ur7e(lab.rig(5.0), Hand())
+    assert driver.halt() is None
+
+
+def test_a_link_that_cannot_begin_says_why(lab: Lab, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "numpy.py").write_text("raise ImportError('no numpy here')")
+    monkeypatch.syspath_prepend(broken)
+    with pytest.raises(RobotError, match=r"the link did not start .*no numpy here"):
+        lab.connect()
+    assert lab.stopped == []
 
 
 def test_a_stop_is_named_though_its_reason_is_read_after_it(lab: Lab) -> None:

@@ -185,6 +185,14 @@ def test_a_declined_step_stops_the_episode_before_it_moves() -> None:
     assert notes.heard[-1] == "over: stopped"
 
 
+def test_a_plan_that_is_only_asked_for_ends_planned_and_nothing_is_run_or_asked() -> None:
+    world, notes = kitchen(), Notes(decline="Unlid(a)")
+    result = plan_f(world, model(world), GOAL, ExecuteSettings(plan_only=True), notes)
+    assert (result.end, result.success, result.transitions) == (End.PLANNED, False, ())
+    assert result.reason == f"{len(result.plans[0].steps)} steps"
+    assert notes.heard[-1] == "over: planned" and not [h for h in notes.heard if h.startswith("start ")]
+
+
 def test_a_reaction_is_asked_after_a_failure_and_its_skill_is_run() -> None:
     world, asked = kitchen(open="a", clean="a"), []
 

@@ -97,6 +97,48 @@ def test_workers_do_not_outlive_a_parent_that_was_killed(tmp_path: Path) -> None
             os.kill(worker, signal.SIGKILL)
 
 
+LONG = """
+import os, sys, time
+from functools import partial
+from resync_robot.signals import raised
+from sim_training.parallel import parallel_map
+
+def work(context, item):
+    print(os.getpid(), flush=True)
+    time.sleep(120.0)
+
+if __name__ == "__main__":
+    try:
+        with raised():
+            list(parallel_map(work, range(1000), partial(int, 1), 2))
+    except KeyboardInterrupt as end:
+        print(end, file=sys.stderr)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "everybody"), [(signal.SIGTERM, False), (signal.SIGINT, True)], ids=["kill", "Ctrl-C at a terminal"]
+)
+def test_workers_are_not_waited_for_when_somebody_ends_the_program(
+    tmp_path: Path, number: signal.Signals, everybody: bool
+) -> None:
+    script = tmp_path / "long.py"
+    script.write_text(LONG)
+    run = subprocess.Popen(
+        [sys.executable, script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": str(Path.cwd())}, start_new_session=True,
+    )  # fmt: skip
+    try:
+        workers = {int(run.stdout.readline()) for _ in range(2)}
+        (os.killpg if everybody else os.kill)(run.pid, number)
+        words = run.communicate(timeout=60)[1]
+    finally:
+        run.kill()
+    assert words == ("interrupted by Ctrl-C\n" if everybody else "ended by SIGTERM\n")
+    assert not any(map(alive, workers))
+
+
 def alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"

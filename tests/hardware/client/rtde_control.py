@@ -73,3 +73,4 @@ class RTDEControlInterface:
 
     def stopScript(self) -> None:
         self._log.write("end\n")
+        told["ended"] = FAULT != "stays"

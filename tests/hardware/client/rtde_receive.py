@@ -42,7 +42,7 @@ class RTDEReceiveInterface:
         if "stopped" in told:
             # The emergency stop's packet came between the reading of the one and of the other.
             told["safety mode"] = 6
-        return 1 if "stopped" in told else 2
+        return 1 if "stopped" in told or told.get("ended") else 2
 
     def getSpeedScaling(self) -> float:
         return {"no fraction": float("nan"), "no speed": 0.0}.get(FAULT, 1.0)
