@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from hardware.base import ProtectiveStopError
     from perception.segment import Segmenter
     from resync_robot.backends import Devices
-    from resync_robot.core.episode import Episode
+    from resync_robot.core.episode import Episode, EpisodeMeta
     from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain, Task
@@ -191,6 +191,7 @@ def _check_rig(config: DeployConfig, rig: Rig) -> None:
 def _recording(config: DeployConfig) -> Episode | None:
     """What --backend replay runs over. Raises ConfigError or EpisodeError."""
     from resync_robot.core.episode import read_episode
+    from resync_robot.progress import say
 
     if config.backend != "replay":
         if config.replay is not None:
@@ -200,7 +201,14 @@ def _recording(config: DeployConfig) -> Episode | None:
         raise ConfigError("--backend replay needs a recording", "give one with --replay EPISODE.mcap")
     if config.episodes != 1:
         raise ConfigError(f"--episodes is {config.episodes}; a recording holds one")
-    return read_episode(config.replay)
+    recording = read_episode(config.replay, unbroken=True)
+    if recording.missing:
+        # Each look is answered by the next one that was recorded; where one is missing, all later ones would be wrong.
+        say(
+            f"Warning: {recording.path} is not whole: {recording.loss}. A replay needs every look in its order, so it "
+            f"has only what comes before the first that is missing: {recording.duration:.1f} s."
+        )
+    return recording
 
 
 def _recorded_task(recording: Episode, domain: Domain) -> Task:
@@ -267,7 +275,7 @@ def _episode(
     else:
         opened = open_ur7e(Layout(config.domain, config.scenario, config.seed, index), rig)
     # The devices come first: where there is no robot, no recording is left behind.
-    with opened as devices, EpisodeWriter(path, meta, devices.clock()) as writer:
+    with opened as devices, EpisodeWriter(path, _dated(meta), devices.clock()) as writer:
         standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"] if recording is None else []
         recorder = Recorder(
             writer,
@@ -314,6 +322,14 @@ def _episode(
             # What the robot believes at the end does not count where the truth can be had.
             reached = result.success and task.goal <= model.abstraction.true_atoms(devices.truth())
     return result, reached
+
+
+def _dated(meta: EpisodeMeta) -> EpisodeMeta:
+    """It begins now."""
+    from dataclasses import replace
+    from datetime import UTC, datetime
+
+    return replace(meta, began=datetime.now(UTC).isoformat())
 
 
 def _may_run(config: DeployConfig, step: str) -> bool:
