@@ -82,19 +82,18 @@ def deploy(config: DeployConfig) -> int:
         ResyncError: bad input, or a machine that cannot be used.
     """
     from resync_robot.core.library import load_library
+    from resync_robot.core.ranges import MOST_EPISODES, check_range, check_seed
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import camera_recovery, learned_model, sees_by_camera, shipped_library
     from resync_robot.learning.camera_view import VIEWS
     from resync_robot.planning.execute import End
-    from resync_robot.planning.suppose import find_plan
+    from resync_robot.planning.suppose import check_goal
     from resync_robot.progress import say
     from resync_robot.run_folder import check_folder, default_folder
     from sim_training.domains import find_domain
 
-    if config.episodes < 1:
-        raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
-    if config.seed < 0:
-        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
+    check_range("--episodes", config.episodes, 1, MOST_EPISODES)
+    check_seed(config.seed)
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     if config.backend == "ur7e":
         _check_rig(config, rig)
@@ -116,7 +115,7 @@ def deploy(config: DeployConfig) -> int:
         for task in tasks:
             # A goal out of reach is a mistake of whoever typed it: said at once, before anything moves.
             atoms = model.abstraction.true_atoms(task.initial)
-            find_plan(model.operators, model.abstraction, task.objects, atoms, task.goal)
+            check_goal(model.operators, model.abstraction, task.objects, atoms, task.goal)
     folder = config.out or default_folder("deploy")
     check_folder(folder)
     if library.rig_hash != rig.hash:
@@ -176,7 +175,7 @@ def _segmenter(config: DeployConfig, rig: Rig) -> Segmenter | None:
     from perception.objects import catalogue_of
     from perception.sam3 import sam3_segmenter
 
-    return sam3_segmenter(rig.sam3, catalogue_of(rig))
+    return sam3_segmenter(rig.sam3, catalogue_of(rig), rig.where)
 
 
 def _check_rig(config: DeployConfig, rig: Rig) -> None:

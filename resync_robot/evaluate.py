@@ -111,6 +111,7 @@ def evaluate(config: EvaluateConfig) -> None:
     """
     from resync_robot import __version__
     from resync_robot.core.library import load_library
+    from resync_robot.core.ranges import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import shipped_library
     from resync_robot.progress import Stages, say
@@ -129,12 +130,11 @@ def evaluate(config: EvaluateConfig) -> None:
         if given:
             raise ConfigError(f"--{given[0]} has no meaning with --perception-only", "leave it out")
         return evaluate_perception(config.scenes, config.seeds, config.workers, config.json, config.rig)
+    check_range("--episodes", config.episodes, 1, MOST_EPISODES)
+    check_seeds(config.seeds)
+    check_range("--workers", config.workers, 1, MOST_WORKERS)
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
-    if config.episodes < 1:
-        raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
-    if not config.seeds or min(config.seeds) < 0:
-        raise ConfigError(f"--seeds is {config.seeds}", "give one or more whole numbers from 0 on")
     if config.json:
         check_writable(config.json)
     paths = config.library or (shipped_library(domain.name),)

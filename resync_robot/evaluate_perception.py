@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from resync_robot import __version__
-from resync_robot.core.errors import ConfigError
+from resync_robot.core.ranges import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
 from resync_robot.core.rig import load_rig
 from resync_robot.perception_report import draw_reliability, perception_report, perception_table
 from resync_robot.perception_trial import SceneRow, run_scene
@@ -29,10 +29,9 @@ def evaluate_perception(
     Raises:
         ResyncError: bad input, or no device can render.
     """
-    if scenes < 1:
-        raise ConfigError(f"--scenes is {scenes}; at least one is needed")
-    if not seeds or min(seeds) < 0:
-        raise ConfigError(f"--seeds is {tuple(seeds)}", "give one or more whole numbers from 0 on")
+    check_range("--scenes", scenes, 1, MOST_EPISODES)
+    check_seeds(seeds)
+    check_range("--workers", workers, 1, MOST_WORKERS)
     rig = load_rig(rig_file)
     if json:
         check_writable(json)

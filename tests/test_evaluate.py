@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from resync_robot import __version__, cli, evaluate
-from resync_robot.core.errors import UnknownNameError
+from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.core.library import save_library
 from resync_robot.planning.execute import ExecuteSettings
 from sim_training.domains import find_domain, world_task
@@ -37,6 +37,29 @@ def test_unknown_names_list_the_valid_ones() -> None:
     assert "initial" in caught.value.fix
     with pytest.raises(UnknownNameError, match="s9"):
         evaluate._scenarios(("s9",), CORNERED)
+
+
+@pytest.mark.parametrize(
+    ("given", "word"),
+    [
+        ({"episodes": 0}, "--episodes is 0; allowed: 1 to"),
+        ({"episodes": 10**12}, "--episodes is 10"),
+        ({"workers": 0}, "--workers is 0; allowed: 1 to 256"),
+        ({"workers": -1}, "--workers is -1"),
+        ({"workers": 10**6}, "--workers is 10"),
+        ({"seeds": ()}, "--seeds names none"),
+        ({"seeds": (0, -1)}, "--seeds is -1"),
+        ({"seeds": (2**40,)}, "from 0 to 2147483647"),
+        ({"perception_only": True, "scenes": 0}, "--scenes is 0"),
+        ({"perception_only": True, "scenes": 10**12}, "--scenes is 10"),
+        ({"perception_only": True, "workers": 0}, "--workers is 0"),
+        ({"perception_only": True, "seeds": (-1,)}, "--seeds is -1"),
+    ],
+)
+def test_numbers_out_of_range_are_refused_at_once(given: dict, word: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        evaluate.evaluate(evaluate.EvaluateConfig(**given))
+    assert word in str(error.value)
 
 
 def features(task) -> np.ndarray:
@@ -90,7 +113,7 @@ def library(tmp_path: Path) -> Path:
         (("--scenarios", "s9"), "'s9'"),
         (("--methods", "magic"), "unknown method 'magic'"),
         (("--episodes", "0"), "--episodes is 0"),
-        (("--seeds", "0", "-3"), "--seeds is (0, -3)"),
+        (("--seeds", "0", "-3"), "--seeds is -3"),
         (("--library", "/nowhere"), "no library folder /nowhere"),
         (("--json", "/dev/null/rows.json"), "cannot write /dev/null/rows.json"),
         (("--skills", "camera"), "--skills camera needs cameras"),
@@ -151,7 +174,7 @@ def test_a_library_of_another_domain_or_without_recovery_is_refused(
     save_library(replace(given_library(), skills={}), tmp_path / "lacking")
     for name, word in (("other", "learned in 'kitchen'"), ("lacking", "no skill 'Recover'")):
         for command in ("evaluate", "deploy"):
-            extra = ("--workers", "0") if command == "evaluate" else ()
+            extra = ("--workers", "1") if command == "evaluate" else ()
             assert cli.main([command, "--library", str(tmp_path / name), *extra]) == 2
             assert f"error: the library {'was' if name == 'other' else 'holds'}" in (
                 shown := capsys.readouterr().err.splitlines()[-2]
@@ -164,7 +187,7 @@ def test_episodes_are_run_counted_and_written(
 ) -> None:
     file = tmp_path / "deep" / "rows.json"
     args = ["--library", str(library), "--methods", "initial", "--scenarios", "s0", "--episodes", "2"]
-    assert cli.main(["evaluate", *args, "--workers", "0", "--json", str(file)]) == 0
+    assert cli.main(["evaluate", *args, "--workers", "1", "--json", str(file)]) == 0
     # The given model alone is stuck in the corner, by physics.
     assert "| initial | 0.00 [0.00, 0.66] of 2 |" in capsys.readouterr().out
     written = json.loads(file.read_text())
@@ -187,7 +210,7 @@ def test_episodes_are_run_counted_and_written(
 
 def test_with_the_right_sequence_given_the_shipped_skills_reach_the_goal(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
-    args = ["--methods", "human", "--scenarios", "s0,s1", "--episodes", "1", "--workers", "0", "--json", str(file)]
+    args = ["--methods", "human", "--scenarios", "s0,s1", "--episodes", "1", "--workers", "1", "--json", str(file)]
     assert cli.main(["evaluate", *args]) == 0
     written = json.loads(file.read_text())
     assert [(e["scenario"], e["success"], e["skills_run"]) for e in written["episodes"]] == [

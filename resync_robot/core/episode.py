@@ -115,7 +115,9 @@ class EpisodeMeta:
     @staticmethod
     def of(rig: Rig, **others: Any) -> EpisodeMeta:
         """The meta data with the rig's part filled in; `others` are the remaining fields."""
-        return EpisodeMeta(rig_hash=rig.hash, rig=plain(asdict(rig)), **others)
+        # Where its file lies says nothing about the machine.
+        facts = {name: value for name, value in asdict(rig).items() if name != "where"}
+        return EpisodeMeta(rig_hash=rig.hash, rig=plain(facts), **others)
 
 
 @dataclass(frozen=True)
@@ -302,7 +304,7 @@ class Episode:
         """What is wrong and which seconds are missing, for people; empty for a whole file."""
         if not self.missing:
             return f"{self.damage}; no message is missing" if self.damage else ""
-        spans = [f"after {a:.1f} s" if b == math.inf else f"from {a:.1f} to {b:.1f} s" for a, b in self.missing]
+        spans = [_span(f"{begin:.1f}", f"{end:.1f}") for begin, end in self.missing]
         more = f", and {len(spans) - MOST} times more" if len(spans) > MOST else ""
         return f"{self.damage}; something is missing {', '.join(spans[:MOST])}{more}"
 
@@ -400,6 +402,12 @@ class Episode:
 
     def _sense(self, topic: str, time: float) -> _Sense:
         return _Sense(f"{self.path}: the message of {topic} at {time:.3f} s makes no sense")
+
+
+def _span(begin: str, end: str) -> str:
+    if end == "inf":
+        return f"after {begin} s"
+    return f"at {begin} s" if begin == end else f"from {begin} to {end} s"
 
 
 class _Sense:

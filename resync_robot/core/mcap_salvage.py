@@ -47,7 +47,7 @@ WASTE = 100
 a file that was made to waste more is not looked through further."""
 SMALLEST_CHUNK = 64
 """Bytes; less damage than this cannot have hit a chunk as a whole."""
-CLOSE = 50_000_000
+CLOSE = 500_000_000
 """ns between two things that are missing, below which they are told as one."""
 TRIED = 4
 """Places that are tried for the end of a file, and for the begin of its summary."""

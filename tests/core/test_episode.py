@@ -134,6 +134,7 @@ def test_a_recording_counts_from_its_beginning_whatever_the_robots_clock_says(wh
 
 def test_the_rig_is_in_the_recording():
     rig = load_rig()
+    assert "where" not in meta().rig, "where its file lies differs from machine to machine"
     recorded = json.loads(json.dumps(meta().rig))
     np.testing.assert_array_equal(recorded["arm"]["world_T_base"], rig.arm.world_T_base)
     assert recorded["cameras"][0]["fx"] == rig.cameras[0].fx
@@ -192,7 +193,7 @@ def test_a_damaged_start_does_not_cost_the_recording(whole, scratch):
     assert episode.meta == meta() and episode.damage is not None and "does not begin as an MCAP" in episode.damage
     assert len(list(episode.joints())) >= 140
     ((begin, end),) = episode.missing
-    assert begin == 0.0 and end < 0.5 and f"something is missing from 0.0 to {end:.1f} s" in episode.loss
+    assert begin == 0.0 and end < 0.5 and "something is missing " in episode.loss
     nothing = read_episode(scratch, unbroken=True)
     assert nothing.meta == meta() and not nothing.messages and nothing.duration == 0.0
 
