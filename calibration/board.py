@@ -26,6 +26,8 @@ A4 = (0.210, 0.297)
 """m."""
 MARGIN = 0.005
 """m that a printer leaves white."""
+MOST_PIXELS = 600e6
+"""Of a .png: A4 at 2400 dpi, 2 GB while it is drawn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +44,9 @@ class BoardSpec:
     """Side of a marker, m."""
     dictionary: str = "4x4_50"
     """Which set of markers: 4x4_50, 4x4_100, 5x5_50, 5x5_100 or 6x6_50."""
+    legacy: bool = False
+    """The layout of boards that OpenCV drew before version 4.6: with an even number of rows, the upper left square is
+    white and has a marker."""
 
     def __post_init__(self) -> None:
         if self.dictionary not in DICTIONARIES:
@@ -68,9 +73,16 @@ class BoardSpec:
         """The board as OpenCV knows it."""
         import cv2
 
-        return cv2.aruco.CharucoBoard(
+        board = cv2.aruco.CharucoBoard(
             (self.columns, self.rows), float(self.square), float(self.marker), self.opencv_dictionary
         )
+        board.setLegacyPattern(self.legacy)
+        return board
+
+    @property
+    def first_black(self) -> int:
+        """0 where the upper left square is black, 1 where it is white; squares alternate from there."""
+        return int(self.legacy and self.rows % 2 == 0)
 
     @cached_property
     def opencv_dictionary(self) -> Any:
@@ -117,13 +129,22 @@ def write_board(spec: BoardSpec, path: Path, dpi: int = 600) -> None:
         raise ConfigError(f"a board is written as .pdf or .png, not as '{path.name}'", "give --out board.pdf")
     import numpy as np
 
+    page = [max(a, b) for a, b in zip(A4, (spec.size[0] + 2 * MARGIN, spec.size[1] + 6 * MARGIN), strict=True)]
+    pixels = math.prod(side / 0.0254 * dpi for side in page)
+    if path.suffix.lower() == ".png" and pixels > MOST_PIXELS:
+        fits = int(dpi * math.sqrt(MOST_PIXELS / pixels))
+        raise ConfigError(
+            f"a sheet of {page[0]:.2f} x {page[1]:.2f} m at {dpi} dpi has {pixels / 1e6:.0f} million pixels; allowed: "
+            f"{MOST_PIXELS / 1e6:.0f} million",
+            f"give --dpi {fits}, or --out board.pdf, which has lines in place of pixels",
+        )
     # Matplotlib writes true vector PDF with a page in inches; it comes with ManiSkill, so nothing is added.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
     ruler = 0.1
-    width, height = (max(a, b) for a, b in zip(A4, (spec.size[0] + 2 * MARGIN, spec.size[1] + 6 * MARGIN), strict=True))
+    width, height = page
     figure = Figure(figsize=(width / 0.0254, height / 0.0254))
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0, 0, 1, 1))
@@ -139,7 +160,7 @@ def write_board(spec: BoardSpec, path: Path, dpi: int = 600) -> None:
     for row in range(spec.rows):
         for column in range(spec.columns):
             x, y = left + column * spec.square, top + row * spec.square
-            if (row + column) % 2 == 0:
+            if (row + column) % 2 == spec.first_black:
                 black(x, y, spec.square)
                 continue
             cells = _cells(spec, number)
@@ -151,9 +172,10 @@ def write_board(spec: BoardSpec, path: Path, dpi: int = 600) -> None:
     axes.plot([left, left + ruler], [bottom, bottom], color="black", linewidth=0.5)
     for end in (left, left + ruler):
         axes.plot([end, end], [bottom - 0.002, bottom + 0.002], color="black", linewidth=0.5)
+    layout = ", legacy layout" if spec.legacy else ""
     text = (
         f"100 mm   ChArUco {spec.columns} x {spec.rows}, {spec.dictionary}, squares {1000 * spec.square:g} mm, "
-        f"markers {1000 * spec.marker:g} mm. Print at 100 %, glue flat, measure."
+        f"markers {1000 * spec.marker:g} mm{layout}. Print at 100 %, glue flat, measure."
     )
     axes.text(left, bottom + 0.006, text, fontsize=7, family="monospace", va="center")
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -89,7 +89,7 @@ class BoardDetector:
         grey = cv2.cvtColor(np.ascontiguousarray(colour), cv2.COLOR_RGB2GRAY)
         corners, markers = self.find(grey)
         if corners is None:
-            return Rejected(self._why_no_board(grey, markers))
+            return Rejected((markers and self._other_layout(grey)) or self._why_no_board(grey, markers))
         gate = self._gate
         if len(corners.ids) < gate.least_corners:
             return Rejected(
@@ -99,7 +99,8 @@ class BoardDetector:
         pose, misfit = locate(self._spec, corners, self._intrinsics)
         if pose is None or misfit > gate.most_misfit_px:
             return Rejected(
-                f"the corners lie {misfit:.1f} px from those of any flat board, {gate.most_misfit_px} is allowed: "
+                self._other_layout(grey)
+                or f"the corners lie {misfit:.1f} px from those of any flat board, {gate.most_misfit_px} is allowed: "
                 "wrong marker numbers, a bent board, or one of another layout"
             )
         side, depth = self._square_px(pose), float(spatial.apply(pose, self._spec.centre[None])[0, 2])
@@ -126,6 +127,20 @@ class BoardDetector:
         # board comes out 0.5 px to the lower right at any magnification); uncorrected that is 0.8 mm at half a metre.
         px = px.reshape(-1, 2)[order].astype(np.float64) / MAGNIFICATION - 0.5
         return Corners(ids.ravel()[order].astype(int), px), len(markers)
+
+    def _other_layout(self, grey: np.ndarray) -> str | None:
+        """What to say where a board of the other layout is seen, which the same numbers of squares and markers have."""
+        if self._spec.rows % 2:
+            return None
+        other = replace(self._spec, legacy=not self._spec.legacy)
+        corners, _ = BoardDetector(other, self._intrinsics, self._gate).find(grey)
+        if corners is None or len(corners.ids) < self._gate.least_corners:
+            return None
+        if locate(other, corners, self._intrinsics)[1] > self._gate.most_misfit_px:
+            return None
+        if other.legacy:
+            return "the board has the layout that OpenCV drew before version 4.6: give --board.legacy"
+        return "the board has the layout that OpenCV draws since version 4.6: leave out --board.legacy"
 
     def _why_no_board(self, grey: np.ndarray, markers: int) -> str:
         if markers:
@@ -160,7 +175,7 @@ class BoardDetector:
             )[0]
 
         columns, rows = np.meshgrid(np.arange(spec.columns), np.arange(spec.rows))
-        dark = ((columns + rows) % 2 == 0).ravel()
+        dark = ((columns + rows) % 2 == spec.first_black).ravel()
         centres = (np.stack([columns.ravel(), rows.ravel()], -1) + 0.5) * spec.square
         black = np.median(values(_flat(centres[dark])))
         worst = 0.0

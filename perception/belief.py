@@ -21,7 +21,7 @@ from perception.known import (
     underside,
 )
 from perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError, name_blocks
-from perception.objects import SceneEstimate, SceneEstimator
+from perception.objects import SceneEstimate, SceneEstimator, hues_of
 from perception.pose import inside_box
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
@@ -76,7 +76,7 @@ class Belief:
         names = {BLOCK: catalogue.blocks, LID: catalogue.coloured_lids, DRAWER: catalogue.coloured_drawers}
         for obj in (*self._blocks, *self._fittings):
             if obj.name not in names[obj.type]:
-                raise UnknownNameError(f"{obj.type.name} of the catalogue", obj.name, names[obj.type])
+                raise UnknownNameError(f"{obj.type.name} of the catalogue", obj.name, names[obj.type], hues_of(rig))
         self._known: dict[Object, Known] = {}
         self._grasp = Grasp(self._blocks)
         self._ambiguous: Mapping[str, np.ndarray] = {}

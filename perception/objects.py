@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,7 @@ from perception.pose import BoxEstimate, box_outline, estimate_box
 from perception.register import align_to_box
 from perception.segment import ColourSegmenter, Segmenter
 from perception.views import level, make_view
-from resync_robot.core.errors import PerceptionError
+from resync_robot.core.errors import ConfigError, PerceptionError
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
 
@@ -38,8 +38,23 @@ class SceneEstimate:
 
 
 def catalogue_of(rig: Rig) -> Catalogue:
-    """The catalogue with the colours of the rig file, where it has any."""
-    return Catalogue(hues=rig.hues) if rig.hues else Catalogue()
+    """The catalogue with the colours of the rig file, where it has any. Raises ConfigError where they cannot be."""
+    if not rig.hues:
+        return Catalogue()
+    try:
+        return Catalogue(hues=rig.hues)
+    except ConfigError as error:
+        raise ConfigError(f"{rig.where}: {error.what}", error.fix) from None
+
+
+def check_colours(rig: Rig, hues: Mapping[str, float]) -> None:
+    """Whether there is a catalogue with these under [hues] beside what the rig has there. Raises ConfigError."""
+    catalogue_of(replace(rig, hues={**rig.hues, **hues}))
+
+
+def hues_of(rig: Rig) -> str:
+    """Whose colours the catalogue has, for a message: empty where they are its own."""
+    return f"[hues] of {rig.where}" if rig.hues else ""
 
 
 class SceneEstimator:

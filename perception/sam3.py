@@ -89,8 +89,8 @@ def _array(value: Any) -> np.ndarray:
     return np.asarray(value)
 
 
-def sam3_segmenter(settings: Sam3Rig | None, catalogue: Catalogue) -> Sam3Segmenter:
-    """The segmenter that a rig file describes.
+def sam3_segmenter(settings: Sam3Rig | None, catalogue: Catalogue, where: str = "the rig file") -> Sam3Segmenter:
+    """The segmenter that a rig file describes; a message names it as `where`.
 
     Raises:
         UnknownNameError: a prompt for a block that the catalogue does not have.
@@ -99,14 +99,14 @@ def sam3_segmenter(settings: Sam3Rig | None, catalogue: Catalogue) -> Sam3Segmen
     """
     if settings is None:
         raise PerceptionError(
-            "the rig file has no [sam3] table",
+            f"{where} has no [sam3] table",
             'add one with checkpoint = "sam3.pt", vocabulary = "bpe_simple_vocab_16e6.txt.gz" and [sam3.prompts] '
             'b0 = "red block"; or use --segmenter colour',
         )
     names = [alike[0] for alike in catalogue.look_alikes]
     for name in settings.prompts:
         if name not in names:
-            raise UnknownNameError("block in [sam3.prompts]", name, names)
+            raise UnknownNameError("block", name, names, f"[sam3.prompts] of {where}")
     return Sam3Segmenter(settings.prompts, load_sam3(settings.checkpoint, settings.vocabulary))
 
 

@@ -14,11 +14,11 @@ from resync_robot.calibration_settings import (
     HuesConfig,
     IntrinsicsConfig,
     NoiseConfig,
+    check_board,
     check_hues,
     check_look,
     check_noise,
 )
-from resync_robot.core.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +50,7 @@ def calibrate(config: CalibrateConfig) -> int:
         from calibration.board import write_board
         from resync_robot.progress import say
 
-        if not 50 <= what.dpi <= 2400:
-            raise ConfigError(f"--dpi is {what.dpi}; allowed: 50 to 2400")
+        check_board(what)
         write_board(what.board, what.out, what.dpi)
         say(f"{what.out}: print at 100 %, glue it flat, measure the squares and give --board.square if they differ.")
         return 0

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from calibration.board import BoardSpec
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.ranges import check_range, check_seed
 
 MOST_POSES, MOST_THINGS = 100, 4
 """Of one run: pictures of a board; things in a row."""
+NAME = re.compile(r"[A-Za-z0-9_-]+")
+"""Of a thing, as a rig file has it under [hues]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +55,7 @@ class LookConfig:
     """How many good pictures to take."""
 
     most_tilt: float = 45.0
-    """Largest angle at which the board is looked at, degrees. Large tilts are what determines the pose."""
+    """Largest angle at which the board is looked at, 10 to 60 degrees. Large tilts are what determines the pose."""
 
     views: Path | None = None
     """Use the pictures in this folder, of an earlier run, and move nothing."""
@@ -88,6 +92,10 @@ class CheckConfig(LookConfig):
 
     live: bool = False
     """No board: draw the simulated scene over the picture of every camera, as PNG and for Rerun."""
+
+
+LEAST_POSES = {IntrinsicsConfig: 8, HandEyeConfig: 8, CheckConfig: 4}
+"""Views with which each of them can do anything."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,10 +161,13 @@ def check_backend(backend: str, rig: Path | None) -> None:
 def check_noise(config: NoiseConfig) -> None:
     """Refuse before anything is loaded or moved. Raises ConfigError."""
     check_backend(config.backend, config.rig)
-    if not 5 <= config.frames <= 100:
-        raise ConfigError(f"--frames is {config.frames}; allowed: 5 to 100, 12 is good")
-    if config.seed < 0:
-        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
+    check_range("--frames", config.frames, 5, 100, "12 is good")
+    check_seed(config.seed)
+
+
+def check_board(config: BoardConfig) -> None:
+    """Refuse before anything is drawn. Raises ConfigError."""
+    check_range("--dpi", config.dpi, 50, 2400, "600 is good")
 
 
 def check_hues(config: HuesConfig) -> None:
@@ -164,20 +175,20 @@ def check_hues(config: HuesConfig) -> None:
     check_backend(config.backend, config.rig)
     if not 1 <= len(config.names) <= MOST_THINGS:
         raise ConfigError(f"{len(config.names)} names; allowed: 1 to {MOST_THINGS}", "give --names b0 b1 b2")
+    for name in config.names:
+        if not NAME.fullmatch(name):
+            raise ConfigError(f"--names has {name!r}, which is no name for a thing", "use letters, digits, _ and -")
     if len(set(config.names)) != len(config.names):
         raise ConfigError(f"--names {' '.join(config.names)} has a name twice", "each thing needs a name of its own")
-    if config.seed < 0:
-        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
+    check_seed(config.seed)
 
 
 def check_look(config: LookConfig) -> None:
     """Refuse before anything is loaded or moved. Raises ConfigError."""
     check_backend(config.backend, config.rig)
-    if not 1 <= config.poses <= MOST_POSES:
-        raise ConfigError(f"--poses is {config.poses}; allowed: 1 to {MOST_POSES}, 20 to 30 are good")
-    if not 0.0 <= config.most_tilt <= 60.0:
-        raise ConfigError(f"--most-tilt is {config.most_tilt:g} degrees; allowed: 0 to 60, 45 is good")
-    if config.seed < 0:
-        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
+    check_range("--poses", config.poses, LEAST_POSES[type(config)], MOST_POSES, "20 to 30 are good")
+    # Views less tilted than that determine neither the pose nor the camera matrix.
+    check_range("--most-tilt", config.most_tilt, 10.0, 60.0, "in degrees; 45 is good")
+    check_seed(config.seed)
     if not all(abs(v) <= 2.0 for v in config.board_at):
         raise ConfigError(f"--board-at is {config.board_at[0]:g} {config.board_at[1]:g} m, out of reach", "in metres")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hardware.base import Halt, ProtectiveStopError
     from perception.segment import Segmenter
     from resync_robot.backends import Devices
-    from resync_robot.core.episode import Episode
+    from resync_robot.core.episode import Episode, EpisodeMeta
     from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain, Task
@@ -90,19 +90,18 @@ def deploy(config: DeployConfig) -> int:
     """
     from hardware.base import Halt
     from resync_robot.core.library import load_library
+    from resync_robot.core.ranges import MOST_EPISODES, check_range, check_seed
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import camera_recovery, learned_model, sees_by_camera, shipped_library
     from resync_robot.learning.camera_view import VIEWS
-    from resync_robot.planning.suppose import find_plan
+    from resync_robot.planning.suppose import check_goal
     from resync_robot.progress import say
     from resync_robot.run_folder import check_folder, default_folder
     from resync_robot.signals import held
     from sim_training.domains import find_domain
 
-    if config.episodes < 1:
-        raise ConfigError(f"--episodes is {config.episodes}; at least one is needed")
-    if config.seed < 0:
-        raise ConfigError(f"--seed is {config.seed}", "give a whole number from 0 on")
+    check_range("--episodes", config.episodes, 1, MOST_EPISODES)
+    check_seed(config.seed)
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     if config.backend == "ur7e":
         _check_rig(config, rig)
@@ -124,7 +123,7 @@ def deploy(config: DeployConfig) -> int:
         for task in tasks:
             # A goal out of reach is a mistake of whoever typed it: said at once, before anything moves.
             atoms = model.abstraction.true_atoms(task.initial)
-            find_plan(model.operators, model.abstraction, task.objects, atoms, task.goal)
+            check_goal(model.operators, model.abstraction, task.objects, atoms, task.goal)
     folder = config.out or default_folder("deploy")
     check_folder(folder)
     paths = [folder / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap" for i, task in enumerate(tasks)]
@@ -244,7 +243,7 @@ def _segmenter(config: DeployConfig, rig: Rig) -> Segmenter | None:
     from perception.objects import catalogue_of
     from perception.sam3 import sam3_segmenter
 
-    return sam3_segmenter(rig.sam3, catalogue_of(rig))
+    return sam3_segmenter(rig.sam3, catalogue_of(rig), rig.where)
 
 
 def _check_rig(config: DeployConfig, rig: Rig) -> None:
@@ -259,6 +258,7 @@ def _check_rig(config: DeployConfig, rig: Rig) -> None:
 def _recording(config: DeployConfig) -> Episode | None:
     """What --backend replay runs over. Raises ConfigError or EpisodeError."""
     from resync_robot.core.episode import read_episode
+    from resync_robot.progress import say
 
     if config.backend != "replay":
         if config.replay is not None:
@@ -268,7 +268,14 @@ def _recording(config: DeployConfig) -> Episode | None:
         raise ConfigError("--backend replay needs a recording", "give one with --replay EPISODE.mcap")
     if config.episodes != 1:
         raise ConfigError(f"--episodes is {config.episodes}; a recording holds one")
-    return read_episode(config.replay)
+    recording = read_episode(config.replay, unbroken=True)
+    if recording.missing:
+        # Each look is answered by the next one that was recorded; where one is missing, all later ones would be wrong.
+        say(
+            f"Warning: {recording.path} is not whole: {recording.loss}. A replay needs every look in its order, so it "
+            f"has only what comes before the first that is missing: {recording.duration:.1f} s."
+        )
+    return recording
 
 
 def _recorded_task(recording: Episode, domain: Domain) -> Task:
@@ -343,7 +350,7 @@ def _episode(
         # The devices come first: where there is no robot, no recording is left behind.
         with let_through():
             devices = stack.enter_context(opened)
-        writer = stack.enter_context(EpisodeWriter(path, meta, devices.clock()))
+        writer = stack.enter_context(EpisodeWriter(path, _dated(meta), devices.clock()))
         standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"] if recording is None else []
         recorder = Recorder(
             writer,
@@ -402,6 +409,14 @@ def _episode(
         if halt is not None:
             recorder.on_halt(halt)
     return _Outcome(result, reached, recorder.skills, halt, ending, BEWARE if halt is Halt.UNKNOWN else fix)
+
+
+def _dated(meta: EpisodeMeta) -> EpisodeMeta:
+    """It begins now."""
+    from dataclasses import replace
+    from datetime import UTC, datetime
+
+    return replace(meta, began=datetime.now(UTC).isoformat())
 
 
 def _end(error: BaseException) -> tuple[End, str]:

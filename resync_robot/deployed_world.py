@@ -138,7 +138,7 @@ class DeployedWorld:
     def _look(self, name: str, window: Window, size: int) -> Cutout:
         """What a camera sees now, for a skill that looks while it moves."""
         if name not in self._cameras:
-            raise UnknownNameError("camera", name, list(self._cameras))
+            raise UnknownNameError("camera", name, list(self._cameras), self.rig.where)
         camera = self._cameras[name]
         if isinstance(camera, WindowedCamera):
             seen = camera.cut_out(window, size)

@@ -131,7 +131,8 @@ def _draw_about(episode: Episode, recording: rr.RecordingStream) -> None:
     rows = {
         "domain": meta.domain, "scenario": meta.scenario, "goal": meta.goal, "seed": meta.seed,
         "backend": meta.backend, "rig": meta.rig_hash, "library": meta.library_hash,
-        "length": f"{episode.duration:.1f} s", "damage": episode.damage or "none", **meta.versions,
+        "began": meta.began, "length": f"{episode.duration:.1f} s", "damage": episode.loss or "none",
+        **meta.versions,
     }  # fmt: skip
     text = "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows.items())])
     recording.log("about", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)

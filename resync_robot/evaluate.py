@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.core.ranges import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
 from resync_robot.evaluation_report import EPISODE, EpisodeRow, count_once, report, table
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-MOST_EPISODES = 1_000_000
-"""Of a seed. A scene that does not stand still is replaced by the one so many episodes further."""
 METHODS = ("resync", "rc", "initial", "human")
 """This project's, Recovery Chaining, the given model alone, and the right sequence of skills given by a person."""
 
@@ -130,10 +129,8 @@ def evaluate(config: EvaluateConfig) -> None:
     from sim_training.domains import find_domain
     from sim_training.parallel import parallel_map
 
-    if not config.seeds or min(config.seeds) < 0:
-        raise ConfigError(f"--seeds is {config.seeds}", "give one or more whole numbers from 0 on")
-    if config.workers < 1:
-        raise ConfigError(f"--workers is {config.workers}; at least one is needed")
+    check_seeds(config.seeds)
+    check_range("--workers", config.workers, 1, MOST_WORKERS)
     if config.perception_only:
         from resync_robot.evaluate_perception import evaluate_perception
 
@@ -147,10 +144,9 @@ def evaluate(config: EvaluateConfig) -> None:
         return evaluate_perception(
             config.scenes, config.seeds, config.workers, config.json, config.rig, config.resume, config.worlds
         )
+    check_range("--episodes", config.episodes, 1, MOST_EPISODES)
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
-    if not 1 <= config.episodes <= MOST_EPISODES:
-        raise ConfigError(f"--episodes is {config.episodes}; allowed: 1 to {MOST_EPISODES}")
     seeds = count_once("seed", config.seeds)
     # By content: the same library under two names is one.
     found = {path: load_library(path) for path in config.library or (shipped_library(domain.name),)}

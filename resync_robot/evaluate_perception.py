@@ -10,10 +10,11 @@ from typing import Any
 from resync_robot import __version__
 from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.ranges import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
 from resync_robot.core.rig import load_rig
 from resync_robot.evaluation_report import count_once
 from resync_robot.perception_report import draw_reliability, perception_report, perception_table
-from resync_robot.perception_trial import MOST_SCENES, SCENE, ObjectRow, SceneRow, run_scene
+from resync_robot.perception_trial import SCENE, ObjectRow, SceneRow, run_scene
 from resync_robot.progress import Stages, say
 from resync_robot.result_file import ResultFile
 from resync_robot.run_folder import git_hash
@@ -43,8 +44,9 @@ def evaluate_perception(
     Raises:
         ResyncError: bad input, or no device can render.
     """
-    if not 1 <= scenes <= MOST_SCENES:
-        raise ConfigError(f"--scenes is {scenes}; allowed: 1 to {MOST_SCENES}")
+    check_range("--scenes", scenes, 1, MOST_EPISODES)
+    check_seeds(seeds)
+    check_range("--workers", workers, 1, MOST_WORKERS)
     if looks not in LOOKS:
         raise ConfigError(f"--worlds {looks} has no meaning with --perception-only", f"give one of {', '.join(LOOKS)}")
     rig, seeds = load_rig(rig_file), count_once("seed", seeds)

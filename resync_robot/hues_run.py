@@ -6,7 +6,7 @@ from calibration.rig_file import update_hues
 from hardware.stream import Stream
 from hardware.travel import travel
 from perception.hues import find_hues, name_hues
-from perception.objects import catalogue_of
+from perception.objects import catalogue_of, check_colours
 from perception.scan import Scan
 from resync_robot.calibration_machine import open_machine
 from resync_robot.calibration_settings import HuesConfig, check_target
@@ -30,6 +30,8 @@ def measure_hues(config: HuesConfig) -> int:
         check_target(config.write, config.rig)
         check_writable(config.write)
     scan, catalogue = Scan(rig, camera=WRIST), catalogue_of(rig)
+    # A deployment must be able to use the names; their colours, that are measured now, all differ here.
+    check_colours(rig, {name: (i + 0.5) / len(config.names) for i, name in enumerate(config.names)})
     bench, words = (
         Bench(config.seed, config.names),
         f"Stand these, left to right, on the bare table: {', '.join(config.names)}.",

@@ -19,6 +19,7 @@ from perception.scan import Scan
 from resync_robot.core import spatial
 from resync_robot.core.damage import Shape
 from resync_robot.core.errors import PerceptionError, UnknownNameError
+from resync_robot.core.ranges import MOST_EPISODES
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
@@ -37,8 +38,6 @@ FALSE_BEYOND = 0.030
 """m from every block of its colour at which an estimate is one of nothing."""
 
 
-MOST_SCENES = 1_000_000
-"""Of a seed. A scene that does not stand still is replaced by the one so many further."""
 NUMBER: Shape = (float, type(None))
 OBJECT: Shape = {
     "seed": int,
@@ -112,7 +111,7 @@ def run_scene(rig: Rig, job: tuple[int, int, str]) -> SceneRow:
     seed, index, looks = job
     # A scene that does not stand still has no truth to compare with; the next one takes its place.
     for attempt in range(20):
-        drawn = draw_scene(seed, index + MOST_SCENES * attempt, LOOKS[looks])
+        drawn = draw_scene(seed, index + MOST_EPISODES * attempt, LOOKS[looks])
         world = SimWorld(drawn.task, rig, rendered=True)
         if is_at_rest(world):
             break

@@ -28,7 +28,7 @@ class ReviewConfig:
     """Write this .rrd file instead of opening the viewer; needs no display."""
 
     mend: Path | None = None
-    """Write what is whole of a torn recording to this .mcap file, which every program opens, and do nothing else."""
+    """Write what is whole of a damaged recording to this .mcap file, which every program opens, and do nothing else."""
 
 
 def review(config: ReviewConfig) -> None:
@@ -51,7 +51,7 @@ def review(config: ReviewConfig) -> None:
 
     episode = read_episode(config.episode)
     if episode.damage is not None:
-        _log.warning("%s is not whole: %s; showing the first %.1f s", episode.path, episode.damage, episode.duration)
+        _log.warning("%s is not whole: %s. Showing the rest.", episode.path, episode.loss)
     if config.save is not None:
         save_drawing(episode, config.save)
         return
@@ -66,8 +66,8 @@ def _mend(torn: Path, out: Path) -> None:
     from resync_robot.progress import say
 
     found = mend_episode(torn, out)
-    say(f"{torn}: {found.damage or 'nothing is wrong with it'}.")
-    say(f"{out} holds the first {found.duration:.1f} s. Review:  resync-robot review {out}")
+    say(f"{torn}: {found.loss or 'nothing is wrong with it'}.")
+    say(f"{out} holds all that is whole, {found.duration:.1f} s long. Review:  resync-robot review {out}")
 
 
 def _has_display() -> bool:

@@ -70,6 +70,7 @@ def train(config: TrainConfig) -> None:
     """
     from resync_robot import run_folder
     from resync_robot.core.lock import LOCK, sole_writer
+    from resync_robot.core.ranges import MOST_WORKERS, check_range, check_seed
     from resync_robot.progress import say
     from resync_robot.run_settings import CONFIG, SHAPING, RunSettings
     from sim_training.domains import find_domain
@@ -77,10 +78,8 @@ def train(config: TrainConfig) -> None:
     given = {name: getattr(config, name) for name in SHAPING if getattr(config, name) is not None}
     begun = RunSettings(**given)
     find_domain(begun.domain)
-    if begun.seed < 0:
-        raise ConfigError(f"--seed is {begun.seed}", "give a whole number from 0 on")
-    if config.workers < 1:
-        raise ConfigError(f"--workers is {config.workers}; at least one is needed")
+    check_seed(begun.seed)
+    check_range("--workers", config.workers, 1, MOST_WORKERS)
     if config.resume:
         path = config.out or run_folder.latest_folder(begun.domain)
         if not (path / CONFIG).exists():

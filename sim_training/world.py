@@ -155,7 +155,7 @@ class SimWorld:
     def render(self, name: str) -> CameraFrame:
         """A noiseless picture; depth is along the optical axis. Raises UnknownNameError."""
         if name not in self.built.cameras:
-            raise UnknownNameError("camera", name, list(self.built.cameras))
+            raise UnknownNameError("camera", name, list(self.built.cameras), self.rig.where)
         camera = self.built.cameras[name]
         self.built.scene.update_render()
         camera.take_picture()

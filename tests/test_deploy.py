@@ -18,7 +18,7 @@ import pytest
 from hardware import room
 from hardware.base import Halt
 from resync_robot import backends, cli, deploy, deployed_world
-from resync_robot.core.episode import EventKind, read_episode
+from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import RenderError
 from resync_robot.core.library import save_library
@@ -62,7 +62,12 @@ def renderer() -> None:
         (("--goal", "Holding(r,b0), HandEmpty(r)"), "no plan reaches"),
         (("--library", "/nowhere"), "no library folder /nowhere"),
         (("--rig", "/nowhere.toml"), "/nowhere.toml"),
+        (("--goal", "not On(b1,b0)"), "'not' is not understood"),
+        (("--goal", "On(b1,b0), On(b0,b1)"), "b0 would be upon itself"),
         (("--episodes", "0"), "--episodes is 0"),
+        (("--episodes", "-1"), "--episodes is -1; allowed: 1 to 100000"),
+        (("--episodes", "99999999999"), "--episodes is 99999999999"),
+        (("--seed", "99999999999"), "from 0 to 2147483647"),
         (("--seed", "-1"), "--seed is -1"),
         (("--backend", "ur7e"), "no [controller]"),
         (("--backend", "ur7e", "--rig", RIG), "no emulated lab at"),
@@ -366,6 +371,27 @@ def test_a_recording_is_run_over_by_the_same_executive(
     again = capsys.readouterr().out
     plans = [[line for line in text.splitlines() if "plan (start)" in line] for text in (first, again)]
     assert plans[0] == plans[1] != []
+
+
+def test_a_replay_of_a_recording_with_a_hole_ends_before_it(
+    tmp_path: Path, rig: Rig, capsys: pytest.CaptureFixture[str]
+) -> None:
+    meta = EpisodeMeta.of(rig, library_hash="", domain=DOMAIN, scenario="s1", goal="", seed=0, backend="sim")
+    path = tmp_path / "e.mcap"
+    with EpisodeWriter(path, meta) as writer:
+        for k in range(400):
+            writer.tip_force(0.02 * k, np.zeros(3))
+    data = path.read_bytes()
+    hole = data.index(b"zstd", len(data) // 2)
+    path.write_bytes(data[:hole] + bytes(100) + data[hole + 100 :])
+    config = DeployConfig(backend="replay", replay=path)
+    recording = deploy._recording(config)
+    assert recording is not None and 0.0 < recording.duration < recording.missing[0][0] + 0.1 < 7.0
+    said = capsys.readouterr().out
+    assert said.startswith(f"Warning: {path} is not whole: ") and "something is missing from " in said
+    assert f"what comes before the first that is missing: {recording.duration:.1f} s" in said
+    path.write_bytes(data + b"more")
+    assert deploy._recording(config) is not None and capsys.readouterr().out == ""
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from resync_robot import __version__, cli, evaluate
-from resync_robot.core.errors import UnknownNameError
+from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.core.library import save_library
 from resync_robot.core.lock import sole_writer
 from resync_robot.evaluate import Job
@@ -48,6 +48,29 @@ def test_unknown_names_list_the_valid_ones() -> None:
     assert "initial" in caught.value.fix
     with pytest.raises(UnknownNameError, match="s9"):
         evaluate._scenarios(("s9",), CORNERED)
+
+
+@pytest.mark.parametrize(
+    ("given", "word"),
+    [
+        ({"episodes": 0}, "--episodes is 0; allowed: 1 to"),
+        ({"episodes": 10**12}, "--episodes is 10"),
+        ({"workers": 0}, "--workers is 0; allowed: 1 to 256"),
+        ({"workers": -1}, "--workers is -1"),
+        ({"workers": 10**6}, "--workers is 10"),
+        ({"seeds": ()}, "--seeds names none"),
+        ({"seeds": (0, -1)}, "--seeds is -1"),
+        ({"seeds": (2**40,)}, "from 0 to 2147483647"),
+        ({"perception_only": True, "scenes": 0}, "--scenes is 0"),
+        ({"perception_only": True, "scenes": 10**12}, "--scenes is 10"),
+        ({"perception_only": True, "workers": 0}, "--workers is 0"),
+        ({"perception_only": True, "seeds": (-1,)}, "--seeds is -1"),
+    ],
+)
+def test_numbers_out_of_range_are_refused_at_once(given: dict, word: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        evaluate.evaluate(evaluate.EvaluateConfig(**given))
+    assert word in str(error.value)
 
 
 def features(task) -> np.ndarray:
@@ -124,7 +147,7 @@ def library(tmp_path: Path) -> Path:
         (("--methods", ","), "--methods names none"),
         (("--resume",), "--resume needs the file to go on with"),
         (("--resume", "--json", "nowhere.json"), "there is no nowhere.json to go on with"),
-        (("--seeds", "0", "-3"), "--seeds is (0, -3)"),
+        (("--seeds", "0", "-3"), "--seeds is -3"),
         (("--library", "/nowhere"), "no library folder /nowhere"),
         (("--json", "/dev/null/rows.json"), "cannot write /dev/null/rows.json"),
         (("--skills", "camera"), "--skills camera needs cameras"),

@@ -208,7 +208,7 @@ def test_a_torn_recording_is_mended_for_every_reader(episode, tmp_path, capsys):
     torn.write_bytes(data[: int(0.6 * len(data))])
     review(ReviewConfig(episode=torn, mend=mended))
     shown = capsys.readouterr().out
-    assert f"of {torn.stat().st_size} bytes are whole, with " in shown and "holds the first" in shown
+    assert f"of {torn.stat().st_size} bytes are whole, with " in shown and "something is missing after " in shown
     before, after = read_episode(torn), read_episode(mended)
     assert after.damage is None and after.messages == before.messages
     with mended.open("rb") as file:
@@ -216,6 +216,24 @@ def test_a_torn_recording_is_mended_for_every_reader(episode, tmp_path, capsys):
     assert count == sum(map(len, before.messages.values())) > 100
     with pytest.raises(EpisodeError, match="File exists"):
         review(ReviewConfig(episode=torn, mend=mended))
+
+
+def test_a_hole_in_the_middle_costs_only_what_was_in_it(episode, tmp_path, capsys, caplog):
+    data = episode.read_bytes()
+    holed, mended = tmp_path / "holed.mcap", tmp_path / "mended.mcap"
+    holed.write_bytes(data[: len(data) // 2] + bytes(2000) + data[len(data) // 2 + 2000 :])
+    review(ReviewConfig(episode=holed, save=tmp_path / "holed.rrd"))
+    assert "is not whole: it is damaged; " in caplog.text and "something is missing from " in caplog.text
+    review(ReviewConfig(episode=holed, mend=mended))
+    assert "something is missing from " in capsys.readouterr().out
+    whole, left = read_episode(episode), read_episode(mended)
+    assert left.damage is None and left.duration == whole.duration and left.meta == whole.meta
+    ((begin, end),) = read_episode(holed).missing
+    assert 0 < begin <= end < whole.duration
+    for topic, messages in left.messages.items():
+        assert set(messages) <= set(whole.messages[topic])
+    lost = [t for topic, all_ in whole.messages.items() for t, _ in set(all_) - set(left.messages.get(topic, ()))]
+    assert lost and begin <= min(lost) and max(lost) <= end
 
 
 def test_a_recording_with_nothing_but_meta(tmp_path):

@@ -2,7 +2,7 @@
 
 | channel | message |
 |---|---|
-| /meta | EpisodeMeta: rig, library, domain, scenario, goal, seed, versions, frame definitions; once, first |
+| /meta | EpisodeMeta: rig, library, domain, scenario, goal, seed, versions, frames, date; first, and again at the end |
 | /joints | measured, commanded (sent) and requested joints and openings |
 | /tip_force | force on the hand, N, world frame |
 | /state | the belief about the objects, `State.to_json` |
@@ -20,8 +20,9 @@ JSON but for the last three. The same once more as messages of ROS 2, for Foxglo
 /joint_states, /joint_commands, /tf, /wrench, /camera/NAME/{camera_info,depth_mm}, /plan_text, /atoms_text, /rosout,
 /latency.
 
-Times are seconds from the beginning of the episode (stored as ns). `core.episode_writer` writes such a file;
-`read_episode` returns what is whole of a torn one.
+Times are seconds from the beginning of the episode. The file has them as ns of the wall clock, so that recordings lie
+beside other logs of that day; the date of the beginning is in /meta and nowhere else. `core.episode_writer` writes such
+a file; `read_episode` returns what is whole of a damaged one.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime, timedelta
 from enum import Enum
 from pathlib import Path
 from types import TracebackType
@@ -47,8 +49,12 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import TYPES
 
-FORMAT = 2
-"""1 had pictures as plain JPEG, and nothing of ROS 2."""
+FORMAT = 3
+"""1 had pictures as plain JPEG, and nothing of ROS 2; in 2 no date was told, and times in the file began at 0."""
+READABLE = (2, 3)
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+MOST = 8
+"""Spans of missing seconds that a message tells one by one."""
 FRAMES = {
     "world": "z up, origin on the table; world_T_base in the rig places the arm",
     "base": "Denavit-Hartenberg base of the arm",
@@ -92,6 +98,7 @@ class EpisodeMeta:
         goal: text of the goal's atoms.
         versions: package or program -> version.
         frames: frame name -> its definition.
+        began: date and time of the beginning in UTC, as ISO 8601 has it; the epoch where nobody told.
     """
 
     rig_hash: str
@@ -104,11 +111,19 @@ class EpisodeMeta:
     backend: str
     versions: Mapping[str, str] = field(default_factory=dict)
     frames: Mapping[str, Any] = field(default_factory=lambda: dict(FRAMES))
+    began: str = EPOCH.isoformat()
+
+    @property
+    def began_ns(self) -> int:
+        """ns since the epoch. Raises ValueError or TypeError where `began` is no date with its time zone."""
+        return (datetime.fromisoformat(self.began) - EPOCH) // timedelta(microseconds=1) * 1000
 
     @staticmethod
     def of(rig: Rig, **others: Any) -> EpisodeMeta:
         """The meta data with the rig's part filled in; `others` are the remaining fields."""
-        return EpisodeMeta(rig_hash=rig.hash, rig=plain(asdict(rig)), **others)
+        # Where its file lies says nothing about the machine.
+        facts = {name: value for name, value in asdict(rig).items() if name != "where"}
+        return EpisodeMeta(rig_hash=rig.hash, rig=plain(facts), **others)
 
 
 @dataclass(frozen=True)
@@ -196,26 +211,30 @@ def plain(value: Any) -> Any:
     return value
 
 
-def read_episode(path: Path) -> Episode:
-    """Read a recording; of a torn or damaged one, everything before the damage.
+def read_episode(path: Path, unbroken: bool = False) -> Episode:
+    """Read a recording; of a damaged one, everything that is whole.
+
+    Args:
+        unbroken: give only what comes before the first thing that is missing.
 
     Raises:
         EpisodeError: no such file, no MCAP, no recording of this program, or of another format version.
     """
-    return _episode_of(path, _records_of(path))
+    whole = _records_of(path)
+    return _episode_of(path, whole, whole.unbroken if unbroken else len(whole.records))
 
 
 def mend_episode(path: Path, out: Path) -> Episode:
-    """Copy what is whole of a torn recording to `out`, which every reader takes.
+    """Copy what is whole of a damaged recording to `out`, which every reader takes.
 
     Returns:
-        The recording as it was found: `damage` is what the copy is without.
+        The recording as it was found: `damage` and `missing` are what the copy is without.
 
     Raises:
         EpisodeError: as `read_episode`, or `out` exists or cannot be written.
     """
     whole = _records_of(path)
-    found = _episode_of(path, whole)
+    found = _episode_of(path, whole, len(whole.records))
     try:
         write_whole(whole.records, out)
     except OSError as error:
@@ -230,25 +249,43 @@ def _records_of(path: Path) -> WholeRecords:
         raise EpisodeError(f"cannot read the recording {path}: {error.strerror}", "give a file *.mcap") from None
 
 
-def _episode_of(path: Path, whole: WholeRecords) -> Episode:
-    messages: dict[str, list[tuple[float, bytes]]] = {}
+def _episode_of(path: Path, whole: WholeRecords, count: int) -> Episode:
+    """The first `count` of the records, and what is said about them anywhere."""
+    raw: dict[str, list[tuple[int, bytes]]] = {}
     topics: dict[int, str] = {}
-    for record in whole.records:
+    about = b""
+    for i, record in enumerate(whole.records):
         if isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Message) and record.channel_id in topics:
-            messages.setdefault(topics[record.channel_id], []).append((record.log_time / 1e9, record.data))
-    if not messages.get("/meta"):
-        reason = whole.damage or "it has no channel /meta"
-        raise EpisodeError(f"{path} is no recording of this program, or torn at its start: {reason}")
-    content = _parse(path, "/meta", messages["/meta"][0][1])
-    if content.pop("format", None) != FORMAT:
-        raise EpisodeError(f"{path} has another format than {FORMAT}", "read it with the program that wrote it")
+            topic = topics[record.channel_id]
+            if topic == "/meta":
+                about = about or record.data
+            if i < count:
+                raw.setdefault(topic, []).append((record.log_time, record.data))
+    if not about:
+        what = "is no recording of this program, or its start is lost" if whole.records else "is no recording"
+        raise EpisodeError(
+            f"{path} {what}: {whole.damage or 'it has no channel /meta'}", "give a file *.mcap that deploy wrote"
+        )
+    content = _parse(path, "/meta", about)
+    if content.pop("format", None) not in READABLE:
+        allowed = " or ".join(map(str, READABLE))
+        raise EpisodeError(f"{path} has another format than {allowed}", "read it with the program that wrote it")
     try:
         meta = EpisodeMeta(**content)
     except TypeError as error:
         raise EpisodeError(f"{path}: /meta is incomplete: {error}") from None
-    return Episode(path, meta, whole.damage, messages)
+    try:
+        began = meta.began_ns
+    except (TypeError, ValueError) as error:
+        raise EpisodeError(f"{path}: /meta tells no date of the beginning: {error}") from None
+    messages = {topic: [((at - began) / 1e9, data) for at, data in found] for topic, found in raw.items()}
+    missing = tuple(
+        (0.0 if begin is None else (begin - began) / 1e9, math.inf if end is None else (end - began) / 1e9)
+        for begin, end in whole.missing
+    )
+    return Episode(path, meta, whole.damage, missing, messages)
 
 
 @dataclass(frozen=True)
@@ -257,19 +294,30 @@ class Episode:
     sense.
 
     Attributes:
-        damage: None for a whole file, else what is wrong with its end, and how much is whole.
+        damage: None for a whole file, else what is wrong with it, and how much is whole.
+        missing: from and to which seconds something that was recorded is lost; to infinity where the end is.
         messages: topic -> (time in s, raw message).
     """
 
     path: Path
     meta: EpisodeMeta
     damage: str | None
+    missing: tuple[tuple[float, float], ...]
     messages: Mapping[str, list[tuple[float, bytes]]] = field(repr=False)
+
+    @property
+    def loss(self) -> str:
+        """What is wrong and which seconds are missing, for people; empty for a whole file."""
+        if not self.missing:
+            return f"{self.damage}; no message is missing" if self.damage else ""
+        spans = [_span(f"{begin:.1f}", f"{end:.1f}") for begin, end in self.missing]
+        more = f", and {len(spans) - MOST} times more" if len(spans) > MOST else ""
+        return f"{self.damage}; something is missing {', '.join(spans[:MOST])}{more}"
 
     @property
     def duration(self) -> float:
         """Time of the latest message, s."""
-        return max(time for channel in self.messages.values() for time, _ in channel)
+        return max((time for channel in self.messages.values() for time, _ in channel), default=0.0)
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -360,6 +408,12 @@ class Episode:
 
     def _sense(self, topic: str, time: float) -> _Sense:
         return _Sense(f"{self.path}: the message of {topic} at {time:.3f} s makes no sense")
+
+
+def _span(begin: str, end: str) -> str:
+    if end == "inf":
+        return f"after {begin} s"
+    return f"at {begin} s" if begin == end else f"from {begin} to {end} s"
 
 
 class _Sense:

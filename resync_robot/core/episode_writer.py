@@ -45,9 +45,10 @@ class EpisodeWriter:
 
     Args:
         path: a file that does not exist yet; its folder is made.
-        meta: what the episode is about.
-        begin: s on the robot's clock, from which the file counts. A controller has been counting since it was
-            switched on. Every method takes times on the robot's clock; what was before the beginning is told as then.
+        meta: what the episode is about, and at which date it began.
+        begin: s on the robot's clock at that date, from which the episode counts. A controller has been counting since
+            it was switched on. Every method takes times on the robot's clock; what was before the beginning is told as
+            then.
 
     Raises:
         EpisodeError: the file exists or cannot be created. Raised at once, before anything moves.
@@ -58,7 +59,7 @@ class EpisodeWriter:
         self.error: EpisodeError | None = None
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._last_flush = -math.inf
+        self._latest, self._last_flush = 0.0, -math.inf
         self._closed = False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -73,12 +74,13 @@ class EpisodeWriter:
             ) from None
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="resync-robot")
+        self._began_ns = meta.began_ns
         self._arm = meta.rig["arm"]["world_T_base"], meta.rig["gripper"]["tip_offset"]
         self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._thread.start()
-        content = {f.name: getattr(meta, f.name) for f in fields(meta)}
-        self._json("/meta", 0.0, {"format": FORMAT, **content}, flush=True)
+        self._meta = {"format": FORMAT, **{f.name: getattr(meta, f.name) for f in fields(meta)}}
+        self._json("/meta", 0.0, self._meta, flush=True)
 
     def joints(
         self,
@@ -109,7 +111,10 @@ class EpisodeWriter:
         time = self._since(time)
         self._json("/tip_force", time, {"force": force})
         self._ros(
-            "/wrench", "geometry_msgs/msg/WrenchStamped", time, partial(ros_messages.wrench, time, "world", force)
+            "/wrench",
+            "geometry_msgs/msg/WrenchStamped",
+            time,
+            partial(ros_messages.wrench, self._stamp(time), "world", force),
         )
 
     def state(self, time: float, state: State) -> None:
@@ -142,7 +147,7 @@ class EpisodeWriter:
         """Something that happened; `details` must be plain JSON values or arrays."""
         time = self._since(time)
         self._json("/event", time, {"kind": kind.value, "text": text, "details": details}, flush=True)
-        line = partial(ros_messages.log, time, LEVELS.get(kind, 20), kind.value, text)
+        line = partial(ros_messages.log, self._stamp(time), LEVELS.get(kind, 20), kind.value, text)
         self._ros("/rosout", "rcl_interfaces/msg/Log", time, line)
 
     def timing(self, timing: Timing) -> None:
@@ -164,28 +169,33 @@ class EpisodeWriter:
             "depth_unit_m": CameraFrame.DEPTH_UNIT_M,
         }
         root, where, time = f"/camera/{frame.name}", f"camera_{frame.name}", self._since(frame.time)
+        stamp = self._stamp(time)
         self._json(f"{root}/info", time, info)
 
         def draw() -> None:
             millimetres = np.round(frame.depth * (1000 * CameraFrame.DEPTH_UNIT_M)).astype(np.uint16)
             for topic, kind, data in (
-                ("/tf", "tf2_msgs/msg/TFMessage", ros_messages.transforms(time, [("world", where, frame.world_T_cam)])),
+                (
+                    "/tf",
+                    "tf2_msgs/msg/TFMessage",
+                    ros_messages.transforms(stamp, [("world", where, frame.world_T_cam)]),
+                ),
                 (
                     f"{root}/camera_info",
                     "sensor_msgs/msg/CameraInfo",
-                    ros_messages.camera_info(time, where, frame.intrinsics, width, height),
+                    ros_messages.camera_info(stamp, where, frame.intrinsics, width, height),
                 ),
                 (
                     f"{root}/colour",
                     "sensor_msgs/msg/CompressedImage",
-                    ros_messages.compressed_image(time, where, "jpeg", colour),
+                    ros_messages.compressed_image(stamp, where, "jpeg", colour),
                 ),
                 (
                     f"{root}/depth",
                     "sensor_msgs/msg/CompressedImage",
-                    ros_messages.compressed_image(time, where, "png", depth),
+                    ros_messages.compressed_image(stamp, where, "png", depth),
                 ),
-                (f"{root}/depth_mm", "sensor_msgs/msg/Image", ros_messages.depth_image(time, where, millimetres)),
+                (f"{root}/depth_mm", "sensor_msgs/msg/Image", ros_messages.depth_image(stamp, where, millimetres)),
             ):
                 self._write(topic, kind, time, data)
 
@@ -194,7 +204,7 @@ class EpisodeWriter:
     def window(self, camera: str, time: float, png: bytes) -> None:
         """A part of a picture that a skill looked at, as PNG."""
         time = self._since(time)
-        pack = partial(ros_messages.compressed_image, time, f"camera_{camera}", "png", png)
+        pack = partial(ros_messages.compressed_image, self._stamp(time), f"camera_{camera}", "png", png)
         self._ros(f"/camera/{camera}/window", "sensor_msgs/msg/CompressedImage", time, pack)
 
     def points(self, time: float, xyz: Float[np.ndarray, "n 3"], rgb: UInt8[np.ndarray, "n 3"]) -> None:
@@ -203,7 +213,10 @@ class EpisodeWriter:
         cloud = np.empty(len(xyz), POINT)
         cloud["xyz"], cloud["rgb"] = xyz, rgb
         self._ros(
-            "/points", "sensor_msgs/msg/PointCloud2", time, partial(ros_messages.point_cloud, time, "world", cloud)
+            "/points",
+            "sensor_msgs/msg/PointCloud2",
+            time,
+            partial(ros_messages.point_cloud, self._stamp(time), "world", cloud),
         )
 
     def defer(self, job: Callable[[], None]) -> None:
@@ -238,6 +251,8 @@ class EpisodeWriter:
         """Finish the file; may be called twice."""
         if self._closed:
             return
+        # Once more, so that a recording damaged at its start still says what it is about.
+        self.defer(lambda: self._json("/meta", self._latest, self._meta))
         self._closed = True
         self._jobs.put(None)
         self._thread.join()
@@ -267,6 +282,10 @@ class EpisodeWriter:
     def _since(self, time: float) -> float:
         return max(0.0, time - self._begin)
 
+    def _stamp(self, time: float) -> int:
+        """ns since the epoch, of s of the episode. Whole numbers: a float of both together would round."""
+        return self._began_ns + round(time * 1e9)
+
     def _json(self, topic: str, time: float, content: Mapping[str, Any], flush: bool = False) -> None:
         # A copy: what the caller gave may change before the thread comes to it.
         copy = plain(content)
@@ -277,10 +296,10 @@ class EpisodeWriter:
 
     def _draw_joints(self, time: float, q: np.ndarray, qd: np.ndarray, command: np.ndarray) -> None:
         """For viewers: measured and commanded joints, and where the links are."""
-        names = (*ARM_JOINTS, "opening")
+        names, stamp = (*ARM_JOINTS, "opening"), self._stamp(time)
         kind = "sensor_msgs/msg/JointState"
-        self._write("/joint_states", kind, time, ros_messages.joint_state(time, names, q, qd))
-        self._write("/joint_commands", kind, time, ros_messages.joint_state(time, names, command, np.empty(0)))
+        self._write("/joint_states", kind, time, ros_messages.joint_state(stamp, names, q, qd))
+        self._write("/joint_commands", kind, time, ros_messages.joint_state(stamp, names, command, np.empty(0)))
         if not np.isfinite(q[:6]).all():
             return
         world_T_base, tip_offset = np.asarray(self._arm[0]), self._arm[1]
@@ -288,7 +307,7 @@ class EpisodeWriter:
         tip = frames[-1].copy()
         tip[:3, 3] += tip_offset * tip[:3, 2]
         poses = [("world", "base", world_T_base), *(("world", j, f) for j, f in zip(ARM_JOINTS, frames, strict=True))]
-        tree = ros_messages.transforms(time, [*poses, ("world", "tip", tip)])
+        tree = ros_messages.transforms(stamp, [*poses, ("world", "tip", tip)])
         self._write("/tf", "tf2_msgs/msg/TFMessage", time, tree)
 
     def _write(self, topic: str, kind: str, time: float, data: bytes, flush: bool = False) -> None:
@@ -297,7 +316,8 @@ class EpisodeWriter:
             return
         if topic not in self._channels:
             self._channels[topic] = self._register(topic, kind)
-        stamp = round(time * 1e9)
+        stamp = self._stamp(time)
+        self._latest = max(self._latest, time)
         self._writer.add_message(self._channels[topic], log_time=stamp, data=data, publish_time=stamp)
         if flush or time >= self._last_flush + FLUSH_S:
             self._writer.flush()

@@ -29,10 +29,17 @@ class ConfigError(ResyncError):
 
 
 class UnknownNameError(ResyncError):
-    """A domain, scenario, object, predicate or skill that does not exist."""
+    """A domain, scenario, object, predicate, skill or camera that does not exist.
 
-    def __init__(self, kind: str, name: str, valid: list[str] | tuple[str, ...]) -> None:
-        super().__init__(f"unknown {kind} '{name}'", f"valid: {', '.join(sorted(valid)) or '(none)'}")
+    Args:
+        where: the file that has the valid ones, where it is not the program itself.
+    """
+
+    def __init__(self, kind: str, name: str, valid: list[str] | tuple[str, ...], where: str = "") -> None:
+        super().__init__(
+            f"unknown {kind} '{name}'" + (f" in {where}" if where else ""),
+            f"valid: {', '.join(sorted(valid)) or '(none)'}",
+        )
 
 
 class LibraryError(ResyncError):

@@ -2,50 +2,68 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import errno
+import stat
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
-import zstandard
-from mcap.records import Channel, Chunk, Footer, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Channel, Chunk, Footer, Message, Schema, Statistics
+from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-MAX_CHUNK_BYTES = 256 * 2**20
-"""A chunk that claims to unpack to more is taken for damage; one picture is far below."""
+from resync_robot.core.mcap_salvage import WholeRecords, salvage, unpack
+
+__all__ = ["CHUNK_BYTES", "WholeRecords", "read_whole", "write_whole"]
 CHUNK_BYTES = 128 * 1024
 
 
-@dataclass(frozen=True)
-class WholeRecords:
-    """Attributes: `records` before the damage, in order; what the `damage` is, None for a whole file."""
-
-    records: list[Schema | Channel | Message]
-    damage: str | None
-
-
 def read_whole(path: Path) -> WholeRecords:
-    """Everything before the first damage; at most what had been written when the writer died. Raises OSError."""
-    records: list[Schema | Channel | Message] = []
-    why: str | None = "the file ends early"
+    """Everything in a file that is whole, around whatever is damaged. Raises OSError."""
+    about = path.stat()
+    if not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
+        raise OSError(errno.EINVAL, "it is no file")
     with path.open("rb") as file:
-        size, at = path.stat().st_size, 0
-        reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=size)
-        try:
-            for record in reader.records:
-                inner = _unpack(record) if isinstance(record, Chunk) else [record]
-                records += [r for r in inner if isinstance(r, Schema | Channel | Message)]
-                at = file.tell()
-                if isinstance(record, Footer):
-                    why = None
-        # The decoders are handed a file from anywhere and promise no list of exceptions; what they raise means
-        # that the file is not whole from here on.
-        except Exception as error:
-            why = f"{type(error).__name__}: {error}"
-    if why is None:
-        return WholeRecords(records, None)
+        if about.st_size == 0:
+            return WholeRecords.of([], "it is empty")
+        records = _read_all(file, about.st_size)
+        if records is not None:
+            behind = about.st_size - file.tell()
+            return WholeRecords.of(records, f"{behind} bytes follow its end, and are left out" if behind else None)
+        file.seek(0)
+        return salvage(file.read())
+
+
+class _Bounded:
+    """Reads no more than there is; a plain file first sets aside what it is asked for, gigabytes by a flipped bit."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file, self._left = file, size
+
+    def read(self, length: int) -> bytes:
+        data = self._file.read(min(length, self._left))
+        self._left -= len(data)
+        return data
+
+
+def _read_all(file: BinaryIO, size: int) -> list[Schema | Channel | Message] | None:
+    """The records of a whole file; None where anything is damaged, or other messages are in it than it counts."""
+    records: list[Schema | Channel | Message] = []
+    counted: int | None = None
+    end = False
+    try:
+        reader = StreamReader(cast(BinaryIO, _Bounded(file, size)), emit_chunks=True, validate_crcs=True)
+        for record in reader.records:
+            inner = unpack(record) if isinstance(record, Chunk) else [record]
+            records += [r for r in inner if isinstance(r, Schema | Channel | Message)]
+            if isinstance(record, Statistics):
+                counted = record.message_count
+            end = isinstance(record, Footer)
+    # The decoders are handed a file from anywhere and promise no list of exceptions; what they raise means that the
+    # file is not whole.
+    except Exception:
+        return None
     count = sum(isinstance(r, Message) for r in records)
-    return WholeRecords(records, f"{why}; {at} of {size} bytes are whole, with {count} messages")
+    return records if end and counted in (None, count) else None
 
 
 def write_whole(records: list[Schema | Channel | Message], path: Path) -> None:
@@ -77,13 +95,3 @@ def _write(records: list[Schema | Channel | Message], file: BinaryIO) -> None:
         elif r.channel_id in channels:
             writer.add_message(channels[r.channel_id], r.log_time, r.data, r.publish_time, r.sequence)
     writer.finish()
-
-
-def _unpack(chunk: Chunk) -> list[Schema | Channel | Message]:
-    """Records of a chunk, refusing one that would fill the memory."""
-    size = chunk.uncompressed_size
-    if chunk.compression == "zstd":
-        size = max(size, zstandard.frame_content_size(chunk.data))
-    if size > MAX_CHUNK_BYTES or chunk.compression not in ("zstd", ""):
-        raise ValueError(f"a chunk of {size} bytes, compression '{chunk.compression}'")
-    return breakup_chunk(chunk, validate_crc=True)

@@ -126,6 +126,7 @@ class Rig:
     """Everything above, read from one TOML file; `hash` names that content in libraries and recordings.
 
     `hues`: colours of the lab's own blocks by name, in [0, 1); empty where they are those of the catalogue.
+    `where`: the file as a message names it.
     """
 
     name: str
@@ -138,6 +139,7 @@ class Rig:
     controller: ControllerRig | None = None
     hues: Mapping[str, float] = field(default_factory=dict)
     sam3: Sam3Rig | None = None
+    where: str = field(default="the rig", compare=False)
 
     def tip_pose(self, q: Float[np.ndarray, "*b 6"]) -> Float[np.ndarray, "*b 4 4"]:
         """world_T_tip at (..., 6) joint positions in rad."""
@@ -166,7 +168,7 @@ class Rig:
         for camera in self.cameras:
             if camera.name == name:
                 return camera
-        raise UnknownNameError("camera", name, [c.name for c in self.cameras])
+        raise UnknownNameError("camera", name, [c.name for c in self.cameras], self.where)
 
 
 _VECTORS = {
@@ -251,7 +253,7 @@ def load_rig(path: Path | None = None) -> Rig:
         return {name: float(value) for name, value in table.items()}
 
     tables = ("arm", "gripper", "cameras", "calibration_limits", "controller", "hues", "sam3")
-    top = section({k: v for k, v in data.items() if k not in tables}, Rig, "", (*tables, "hash"))
+    top = section({k: v for k, v in data.items() if k not in tables}, Rig, "", (*tables, "hash", "where"))
     cameras = data.get("cameras")
     if not isinstance(cameras, list) or not cameras:
         raise ConfigError(f"{where}: no [[cameras]]")
@@ -268,6 +270,7 @@ def load_rig(path: Path | None = None) -> Rig:
         ),
         hues=hues(data.get("hues", {})),
         sam3=sam3(data["sam3"]) if "sam3" in data else None,
+        where=where if path is None else f"the rig file {path}",
     )
 
 

@@ -1,8 +1,8 @@
 """The messages of ROS 2 that a recording holds for viewers, packed as ROS 2 packs them (CDR, little-endian).
 
 Written here because a viewer needs no more than these few, and the library that packs any message has no way to close
-a chunk in between, which is what a killed process leaves behind. Each function gives the bytes of one message;
-`DEFINITIONS` has what a reader needs to unpack them.
+a chunk in between, which is what a killed process leaves behind. Each function gives the bytes of one message, its
+`stamp` in ns since the epoch: a float of seconds would round it. `DEFINITIONS` has what a reader needs to unpack them.
 """
 
 from __future__ import annotations
@@ -51,63 +51,62 @@ class _Packer:
     def text(self, text: str) -> _Packer:
         return self.blob(text.encode() + b"\0")
 
-    def header(self, time: float, frame: str) -> _Packer:
-        return self.stamp(time).text(frame)
+    def header(self, stamp: int, frame: str) -> _Packer:
+        return self.stamp(stamp).text(frame)
 
-    def stamp(self, time: float) -> _Packer:
-        nanoseconds = round(time * 1e9)
-        return self.numbers("i", nanoseconds // 10**9).numbers("I", nanoseconds % 10**9)
+    def stamp(self, stamp: int) -> _Packer:
+        return self.numbers("i", stamp // 10**9).numbers("I", stamp % 10**9)
 
     def message(self) -> bytes:
         return _HEAD + bytes(self._data)
 
 
-def joint_state(time: float, names: Sequence[str], position: np.ndarray, velocity: np.ndarray) -> bytes:
+def joint_state(stamp: int, names: Sequence[str], position: np.ndarray, velocity: np.ndarray) -> bytes:
     """sensor_msgs/msg/JointState: rad and rad/s of a joint, m of an opening."""
-    packer = _Packer().header(time, "").numbers("I", len(names))
+    packer = _Packer().header(stamp, "").numbers("I", len(names))
     for name in names:
         packer.text(name)
     return packer.sequence("d", position).sequence("d", velocity).sequence("d", ()).message()
 
 
-def transforms(time: float, poses: Sequence[tuple[str, str, Float[np.ndarray, "4 4"]]]) -> bytes:
+def transforms(stamp: int, poses: Sequence[tuple[str, str, Float[np.ndarray, "4 4"]]]) -> bytes:
     """tf2_msgs/msg/TFMessage of (parent, child, pose of child in parent)."""
     packer = _Packer().numbers("I", len(poses))
     for parent, child, pose in poses:
         w, *xyz = spatial.quat_from_matrix(pose[:3, :3])
-        packer.header(time, parent).text(child).numbers("d", *pose[:3, 3], *xyz, w)
+        packer.header(stamp, parent).text(child).numbers("d", *pose[:3, 3], *xyz, w)
     return packer.message()
 
 
-def wrench(time: float, frame: str, force: Float[np.ndarray, "3"]) -> bytes:
+def wrench(stamp: int, frame: str, force: Float[np.ndarray, "3"]) -> bytes:
     """geometry_msgs/msg/WrenchStamped: N, no torque."""
-    return _Packer().header(time, frame).numbers("d", *force, 0.0, 0.0, 0.0).message()
+    return _Packer().header(stamp, frame).numbers("d", *force, 0.0, 0.0, 0.0).message()
 
 
-def camera_info(time: float, frame: str, intrinsics: Float[np.ndarray, "3 3"], width: int, height: int) -> bytes:
+def camera_info(stamp: int, frame: str, intrinsics: Float[np.ndarray, "3 3"], width: int, height: int) -> bytes:
     """sensor_msgs/msg/CameraInfo of a rectified picture."""
     projection = np.column_stack([intrinsics, np.zeros(3)])
-    packer = _Packer().header(time, frame).numbers("I", height, width).text("plumb_bob").sequence("d", [0.0] * 5)
+    packer = _Packer().header(stamp, frame).numbers("I", height, width).text("plumb_bob").sequence("d", [0.0] * 5)
     packer.numbers("d", *intrinsics.ravel(), *np.eye(3).ravel(), *projection.ravel())
     return packer.numbers("I", 0, 0, 0, 0, 0, 0).numbers("B", 0).message()
 
 
-def compressed_image(time: float, frame: str, kind: str, data: bytes) -> bytes:
+def compressed_image(stamp: int, frame: str, kind: str, data: bytes) -> bytes:
     """sensor_msgs/msg/CompressedImage; `kind` is jpeg or png."""
-    return _Packer().header(time, frame).text(kind).blob(data).message()
+    return _Packer().header(stamp, frame).text(kind).blob(data).message()
 
 
-def depth_image(time: float, frame: str, millimetres: UInt16[np.ndarray, "h w"]) -> bytes:
+def depth_image(stamp: int, frame: str, millimetres: UInt16[np.ndarray, "h w"]) -> bytes:
     """sensor_msgs/msg/Image, 16UC1: mm, 0 = nothing, as every tool of ROS takes 16-bit depth."""
     height, width = millimetres.shape
-    packer = _Packer().header(time, frame).numbers("I", height, width).text("16UC1")
+    packer = _Packer().header(stamp, frame).numbers("I", height, width).text("16UC1")
     packer.numbers("B", 0).numbers("I", 2 * width)
     return packer.blob(millimetres.astype("<u2").tobytes()).message()
 
 
-def point_cloud(time: float, frame: str, points: np.ndarray) -> bytes:
+def point_cloud(stamp: int, frame: str, points: np.ndarray) -> bytes:
     """sensor_msgs/msg/PointCloud2 of `core.episode.POINT`s: x y z in m, r g b of 255."""
-    packer = _Packer().header(time, frame).numbers("I", 1, len(points), len(_CLOUD_FIELDS))
+    packer = _Packer().header(stamp, frame).numbers("I", 1, len(points), len(_CLOUD_FIELDS))
     for name, offset, kind in _CLOUD_FIELDS:
         packer.text(name).numbers("I", offset).numbers("B", kind).numbers("I", 1)
     packer.numbers("B", 0).numbers("I", points.itemsize, points.nbytes)
@@ -124,9 +123,9 @@ def number(value: float) -> bytes:
     return _Packer().numbers("d", value).message()
 
 
-def log(time: float, level: int, name: str, text: str) -> bytes:
+def log(stamp: int, level: int, name: str, text: str) -> bytes:
     """rcl_interfaces/msg/Log: level 20 information, 30 warning, 40 error."""
-    return _Packer().stamp(time).numbers("B", level).text(name).text(text).text("").text("").numbers("I", 0).message()
+    return _Packer().stamp(stamp).numbers("B", level).text(name).text(text).text("").text("").numbers("I", 0).message()
 
 
 class _Unpacker:

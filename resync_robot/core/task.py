@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from resync_robot.core.errors import UnknownNameError
+from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atom, Atoms, Object, Operator, Predicate, Type
+from resync_robot.core.symbols import Atom, Atoms, Object, Operator, Predicate, Term, Type
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ class Domain:
         dream: (rng, seed, how many objects of the relevant type) -> a task in which all of them begin free.
         practice: (rng, seed) -> a task with one object somewhere between trapped and free, or covered.
         expert: (state, goal) -> the skill sequence that a person would give: (skill name, objects) each.
+        stacking: two-place predicates that put one thing upon another: a thing is upon one other at most, and never,
+            by whatever way round, upon itself. The given model need not know; goals are checked by it.
     """
 
     name: str
@@ -71,6 +74,7 @@ class Domain:
     dream: Callable[[np.random.Generator, int, int], Task]
     practice: Callable[[np.random.Generator, int], Task]
     expert: Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
+    stacking: tuple[Predicate, ...] = ()
 
     def predicate(self, name: str) -> Predicate:
         for p in self.predicates:
@@ -84,30 +88,81 @@ class Domain:
         return self.scenarios[name]
 
     def parse_goal(self, text: str, objects: tuple[Object, ...]) -> Atoms:
-        """Atoms from text such as 'On(b1,b0), On(b2,b1)'. Raises UnknownNameError or PlanningError."""
-        return parse_atoms(text, self.predicates, objects)
+        """Atoms from text such as 'On(b1,b0), On(b2,b1)'.
+
+        Raises:
+            UnknownNameError: of a predicate or object.
+            PlanningError: it is no list of atoms, or one that no state can meet.
+        """
+        atoms = parse_atoms(text, self.predicates, objects)
+        for predicate in self.stacking:
+            _check_stack(predicate, sorted(a for a in atoms if a.predicate == predicate))
+        return atoms
+
+
+def _check_stack(predicate: Predicate, atoms: Sequence[Atom]) -> None:
+    """Refuse a thing upon two others, and a ring. Raises PlanningError."""
+    below: dict[Term, Term] = {}
+    for upper, lower in (a.args for a in atoms):
+        if upper in below:
+            both = f"{predicate(upper, below[upper])} and {predicate(upper, lower)}"
+            raise PlanningError(
+                f"no state has both {both}: {upper} is upon one thing at a time", "leave out one of them"
+            )
+        below[upper] = lower
+    for start in below:
+        ring = [start]
+        while (ahead := below.get(ring[-1])) is not None and ahead != start and ahead not in ring:
+            ring.append(ahead)
+        if ahead == start:
+            words = ", ".join(str(predicate(upper, below[upper])) for upper in ring)
+            raise PlanningError(f"no state has {words}: {start} would be upon itself", "leave out one of them")
 
 
 def parse_atoms(text: str, predicates: tuple[Predicate, ...], objects: tuple[Object, ...]) -> Atoms:
     """Read 'P(a,b), Q(c)' into atoms; names are case-insensitive for predicates, exact for objects."""
-    import re
-
-    from resync_robot.core.errors import PlanningError
-
     names = {p.name.lower(): p for p in predicates}
     known = {o.name: o for o in objects}
     found: list[Atom] = []
-    rest = re.sub(r"([\w-]+)\s*\(([^()]*)\)", "", text)
+    # A word with a parenthesis behind it looks like an atom, too.
+    rest = _ATOM.sub(lambda atom: atom[1] if atom[1].lower() in _WORDS else " ", text)
     if rest.strip(" ,;&"):
-        raise PlanningError(f"cannot read the goal '{text}'", 'write it as --goal "On(b1,b0)"')
-    for name, inside in re.findall(r"([\w-]+)\s*\(([^()]*)\)", text):
+        shown = " ".join(text.split())
+        raise PlanningError(f"cannot read the goal '{shown}': {_why_not(rest)}", f"write it as {_EXAMPLE}")
+    for name, inside in _ATOM.findall(text):
         if name.lower() not in names:
             raise UnknownNameError("predicate", name, [p.name for p in predicates])
         args = [a.strip() for a in inside.split(",") if a.strip()]
         for a in args:
             if a not in known:
                 raise UnknownNameError("object", a, list(known))
-        found.append(names[name.lower()](*(known[a] for a in args)))
+        atom = names[name.lower()](*(known[a] for a in args))
+        if len(set(args)) < len(args):
+            raise PlanningError(f"no state has {atom}: it takes different objects", f"write it as {_EXAMPLE}")
+        found.append(atom)
     if not found:
-        raise PlanningError(f"the goal '{text}' names no atom", 'write it as --goal "On(b1,b0)"')
+        raise PlanningError(f"the goal '{text}' names no atom", f"write it as {_EXAMPLE}")
     return frozenset(found)
+
+
+_ATOM = re.compile(r"([\w-]+)\s*\(([^()]*)\)")
+_EXAMPLE = '--goal "On(b1,b0)"'
+_WORDS = {
+    **dict.fromkeys(("not", "!", "~", "¬"), "a goal lists what shall hold, and cannot ask that something does not"),
+    **dict.fromkeys(("and", "∧", "+"), "atoms stand beside each other, with a comma between them"),
+    **dict.fromkeys(("or", "|", "||", "∨"), "a goal leaves no choice: all of its atoms shall hold"),
+    **dict.fromkeys(("forall", "exists", "imply", "when"), "a goal names each object, without a rule over them"),
+}
+
+
+def _why_not(rest: str) -> str:
+    """What is wrong with what is left of a goal without its atoms."""
+    for word in re.findall(r"[^\s,;&()]+", rest):
+        if word.lower() in _WORDS:
+            return f"'{word}' is not understood; {_WORDS[word.lower()]}"
+    word = next(iter(re.findall(r"[^\s,;&()]+", rest)), None)
+    if word is not None:
+        return f"'{word}' is no atom"
+    if "(" in rest or ")" in rest:
+        return "a parenthesis is too many, or not closed"
+    return "it has a line break or a tab; write all atoms on one line"

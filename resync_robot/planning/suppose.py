@@ -50,6 +50,36 @@ def find_plan(
         return supposed
 
 
+def check_goal(
+    operators: Sequence[Operator], abstraction: Abstraction, objects: Iterable[Object], atoms: Atoms, goal: Atoms
+) -> None:
+    """Refuse a goal that no plan reaches from `atoms`, with the fewest of its atoms that cannot be had together.
+
+    Raises:
+        PlanningError: says which, and why.
+    """
+    objects = tuple(objects)
+
+    def failure(wanted: Atoms) -> PlanningError | None:
+        try:
+            find_plan(operators, abstraction, objects, atoms, wanted)
+        except PlanningError as error:
+            return error
+        return None
+
+    error, least = failure(goal), goal
+    for atom in sorted(goal):
+        # Without it no plan either: it is not what stands in the way.
+        if error is not None and len(least) > 1 and (fewer := failure(least - {atom})) is not None:
+            error, least = fewer, least - {atom}
+    if error is None:
+        return
+    if len(least) == 1:
+        raise error
+    words = " and ".join(map(str, sorted(least)))
+    raise PlanningError(f"no plan reaches {words} together, and one reaches any fewer of them", "leave out one of them")
+
+
 def _suppose(
     operators: Sequence[Operator],
     abstraction: Abstraction,

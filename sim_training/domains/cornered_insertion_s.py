@@ -246,5 +246,6 @@ CORNERED_INSERTION_S = Domain(
     dream=dream_task,
     practice=practice_task,
     expert=expert,
+    stacking=(ON,),
     scenarios={s.name: s for s in SCENARIOS},
 )

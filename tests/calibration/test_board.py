@@ -25,6 +25,28 @@ def test_a_printed_board_is_to_scale(tmp_path: Path) -> None:
     np.testing.assert_allclose(offset, np.broadcast_to(offset.mean(0), offset.shape), atol=1.5e-4)
 
 
+@pytest.mark.parametrize("rows", [7, 8])
+@pytest.mark.parametrize("legacy", [False, True])
+def test_the_printed_board_is_the_one_that_opencv_draws(tmp_path: Path, rows: int, legacy: bool) -> None:
+    """Both layouts; with an odd number of rows they are one."""
+    spec, dpi = BoardSpec(rows=rows, legacy=legacy), 254
+    write_board(spec, tmp_path / "board.png", dpi)
+    picture = cv2.imread(str(tmp_path / "board.png"), cv2.IMREAD_GRAYSCALE)
+    side = round(spec.square / 0.0254 * dpi)
+    drawn = spec.image(side)
+    best = cv2.minMaxLoc(cv2.matchTemplate(picture, drawn, cv2.TM_CCOEFF_NORMED))[1]
+    assert best > 0.97
+    other = BoardSpec(rows=rows, legacy=not legacy).image(side)
+    assert (cv2.minMaxLoc(cv2.matchTemplate(picture, other, cv2.TM_CCOEFF_NORMED))[1] > 0.97) == (rows == 7)
+
+
+def test_a_picture_too_large_to_draw_is_refused(tmp_path: Path) -> None:
+    spec = BoardSpec(columns=14, rows=14, square=0.2, marker=0.15, dictionary="5x5_100")
+    with pytest.raises(ConfigError, match=r"million pixels; allowed: 600 million\n.*give --dpi 2"):
+        write_board(spec, tmp_path / "board.png", 2400)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_pdf_is_an_a4_page_of_lines(tmp_path: Path) -> None:
     write_board(BoardSpec(), tmp_path / "board.pdf")
     data = (tmp_path / "board.pdf").read_bytes()

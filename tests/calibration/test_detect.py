@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -50,6 +52,18 @@ def test_a_picture_without_a_board_is_refused() -> None:
 def test_another_board_is_refused_as_such() -> None:
     other = BoardDetector(BoardSpec(columns=6, rows=8, dictionary="5x5_50"), INTRINSICS)
     assert "no board of 5x5_50" in reason(synthetic.photograph(pose()), other)
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+@pytest.mark.parametrize("columns", [6, 7])
+def test_a_board_of_the_other_layout_of_opencv_is_named(legacy: bool, columns: int) -> None:
+    printed = BoardSpec(columns=columns, square=0.028, marker=0.021, legacy=legacy)
+    picture = synthetic.photograph(pose(), printed)
+    said = reason(picture, BoardDetector(replace(printed, legacy=not legacy), INTRINSICS))
+    assert said.endswith("before version 4.6: give --board.legacy" if legacy else "4.6: leave out --board.legacy")
+    found = BoardDetector(printed, INTRINSICS)(picture)
+    assert isinstance(found, Sighting) and found.blur_px < 2.0
+    assert np.linalg.norm(found.cam_T_board[:3, 3] - pose()[:3, 3]) < 2e-3
 
 
 def test_a_board_in_another_layout_is_refused() -> None:

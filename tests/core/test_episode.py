@@ -6,17 +6,19 @@ import json
 import logging
 import os
 import signal
+import struct
 import subprocess
 import sys
 import textwrap
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 
-from resync_robot.core.episode import FORMAT, EpisodeMeta, EventKind, Timing, read_episode
+from resync_robot.core.episode import FORMAT, EpisodeMeta, EventKind, Timing, mend_episode, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.joints import JointTarget
@@ -132,14 +134,13 @@ def test_a_recording_counts_from_its_beginning_whatever_the_robots_clock_says(wh
 
 def test_the_rig_is_in_the_recording():
     rig = load_rig()
+    assert "where" not in meta().rig, "where its file lies differs from machine to machine"
     recorded = json.loads(json.dumps(meta().rig))
     np.testing.assert_array_equal(recorded["arm"]["world_T_base"], rig.arm.world_T_base)
     assert recorded["cameras"][0]["fx"] == rig.cameras[0].fx
 
 
 def test_messages_are_standard_mcap_with_schemas(tmp_path):
-    from mcap.reader import make_reader
-
     path = tmp_path / "e.mcap"
     write(path, 1.0)
     with path.open("rb") as file:
@@ -154,6 +155,67 @@ def test_messages_are_standard_mcap_with_schemas(tmp_path):
     assert schema.encoding == "jsonschema" and "measured" in json.loads(schema.data)["required"]
     assert {channels[topic].message_encoding for topic in VIEWED} == {"cdr"}
     assert {summary.schemas[channels[topic].schema_id].encoding for topic in VIEWED} == {"ros2msg"}
+
+
+def test_the_file_has_the_date_and_the_episode_counts_from_zero(tmp_path):
+    dated = replace(meta(), began="2025-11-28T10:11:12.123456+00:00")
+    with EpisodeWriter(tmp_path / "e.mcap", dated, begin=77.0) as writer:
+        writer.tip_force(77.25, np.zeros(3))
+    episode = read_episode(tmp_path / "e.mcap")
+    assert episode.meta == dated and [t for t, _ in episode.tip_force()] == [0.25]
+    stamp = 1_764_324_672_123_456_000 + 250_000_000
+    with (tmp_path / "e.mcap").open("rb") as file:
+        logged = {c.topic: m for _, c, m in make_reader(file).iter_messages(["/tip_force", "/wrench"])}
+    assert {m.log_time for m in logged.values()} == {stamp}
+    seconds, nanoseconds = struct.unpack_from("<iI", logged["/wrench"].data, 4)
+    assert seconds * 10**9 + nanoseconds == stamp, "as in the header of the message"
+    mend_episode(tmp_path / "e.mcap", tmp_path / "mended.mcap")
+    assert read_episode(tmp_path / "mended.mcap").messages == episode.messages
+
+
+@pytest.mark.parametrize("began", ["yesterday", "2025-11-28T10:11:12", None, 3, []])
+def test_a_recording_with_a_date_that_is_none_is_refused(tmp_path, began):
+    raw_episode(tmp_path / "e.mcap", "/x", b"", {"format": FORMAT, **vars(replace(meta(), began=began))})
+    with pytest.raises(EpisodeError, match="no date"):
+        read_episode(tmp_path / "e.mcap")
+
+
+def test_a_recording_made_before_there_were_dates_is_read(tmp_path):
+    old = {k: v for k, v in vars(meta()).items() if k != "began"}
+    raw_episode(tmp_path / "e.mcap", "/tip_force", b'{"force": [1, 2, 3]}', {"format": 2, **old})
+    episode = read_episode(tmp_path / "e.mcap")
+    assert episode.meta == meta() and [t for t, _ in episode.tip_force()] == [0.0]
+
+
+def test_a_damaged_start_does_not_cost_the_recording(whole, scratch):
+    scratch.write_bytes(bytes(3000) + whole[3000:])
+    episode = read_episode(scratch)
+    assert episode.meta == meta() and episode.damage is not None and "does not begin as an MCAP" in episode.damage
+    assert len(list(episode.joints())) >= 140
+    ((begin, end),) = episode.missing
+    assert begin == 0.0 and end < 0.5 and "something is missing " in episode.loss
+    nothing = read_episode(scratch, unbroken=True)
+    assert nothing.meta == meta() and not nothing.messages and nothing.duration == 0.0
+
+
+def test_what_comes_before_the_first_hole_can_be_had_alone(whole, scratch):
+    middle = whole.index(b"zstd", len(whole) // 2)
+    scratch.write_bytes(whole[:middle] + bytes(500) + whole[middle + 500 :])
+    every, unbroken = read_episode(scratch), read_episode(scratch, unbroken=True)
+    times = [j.time for j in unbroken.joints()]
+    np.testing.assert_allclose(times, np.arange(len(times)) * 0.02)
+    assert 0.5 < times[-1] < 2.5 and max(j.time for j in every.joints()) == pytest.approx(2.98)
+    assert unbroken.missing == every.missing != ()
+
+
+def test_an_empty_file_and_bytes_behind_the_end_are_told_as_such(whole, scratch):
+    scratch.write_bytes(b"")
+    with pytest.raises(EpisodeError, match="is no recording: it is empty"):
+        read_episode(scratch)
+    scratch.write_bytes(whole + b"123")
+    episode = read_episode(scratch)
+    assert episode.loss == "3 bytes follow its end, and are left out; no message is missing"
+    assert len(list(episode.joints())) == 150
 
 
 def test_not_a_number_survives(tmp_path):

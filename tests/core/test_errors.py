@@ -16,6 +16,7 @@ def test_a_message_ends_with_what_to_do() -> None:
 def test_an_unknown_name_lists_the_valid_ones() -> None:
     assert str(UnknownNameError("scenario", "s9", ["s1", "s0"])) == "unknown scenario 's9'\n  -> valid: s0, s1"
     assert "(none)" in str(UnknownNameError("scenario", "s9", []))
+    assert "unknown camera 'back' in rig.toml\n" in str(UnknownNameError("camera", "back", [], "rig.toml"))
 
 
 @pytest.mark.parametrize(

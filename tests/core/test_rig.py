@@ -200,7 +200,14 @@ def test_the_built_in_rig_is_consistent() -> None:
     wrist = rig.camera("wrist")
     centre = wrist.intrinsics @ np.array([0.0, 0.0, 1.0])
     np.testing.assert_allclose(centre, [wrist.cx, wrist.cy, 1.0])
-    with pytest.raises(UnknownNameError, match=r"'back'(.|\n)*front, side, wrist"):
+    with pytest.raises(UnknownNameError, match=r"'back' in the built-in rig(.|\n)*front, side, wrist"):
+        rig.camera("back")
+
+
+def test_an_unknown_camera_names_the_rig_file(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(BUILT_IN)
+    rig = load_rig(tmp_path / "mine.toml")
+    with pytest.raises(UnknownNameError, match=rf"'back' in the rig file {tmp_path}/mine.toml"):
         rig.camera("back")
 
 

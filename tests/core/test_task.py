@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from resync_robot.core.errors import PlanningError, ResyncError, UnknownNameError
-from resync_robot.core.symbols import Predicate
+from resync_robot.core.symbols import Object, Predicate
 from resync_robot.core.task import Domain, parse_atoms
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT, TYPES
 
@@ -23,6 +23,7 @@ DOMAIN = Domain(
         "types": tuple(TYPES.values()),
         "predicates": PREDICATES,
         "scenarios": {},
+        "stacking": (ON,),
     }
 )
 ATOMS = [a for p in PREDICATES for a in p.groundings(OBJECTS)]
@@ -41,6 +42,59 @@ def test_predicates_are_case_insensitive_and_blanks_do_not_matter() -> None:
 def test_what_is_no_goal_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(PlanningError, match=r'--goal "On\(b1,b0\)"'):
         DOMAIN.parse_goal(text, OBJECTS)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("not On(b1,b0)", "'not' is not understood; a goal lists what shall hold"),
+        ("not(On(b1,b0))", "cannot ask that something does not"),
+        ("!On(b1,b0)", "'!' is not understood"),
+        ("On(b1,b0) and In(b0,box)", "'and' is not understood; atoms stand beside each other, with a comma"),
+        ("On(b1,b0) OR In(b0,box)", "'OR' is not understood; a goal leaves no choice"),
+        ("(and (on b1 b0))", "'and' is not understood"),
+        ("On(b1,b0)\nIn(b0,box)", "it has a line break"),
+        ("On(b1,b0)\n", "it has a line break"),
+        ("On(b1,b0))", "a parenthesis is too many"),
+        ("On(b1,b0), please", "'please' is no atom"),
+    ],
+)
+def test_a_goal_that_cannot_be_read_says_what_stands_in_the_way(text: str, why: str) -> None:
+    with pytest.raises(PlanningError) as error:
+        DOMAIN.parse_goal(text, OBJECTS)
+    assert why in str(error.value) and '--goal "On(b1,b0)' in error.value.fix
+
+
+BLOCKS = tuple(BLOCK(f"b{i}") for i in range(5))
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("On(b0,b0)", "On(b0, b0): it takes different objects"),
+        ("On(b0,b1), On(b1,b0)", "On(b0, b1), On(b1, b0): b0 would be upon itself"),
+        ("On(b4,b0), On(b0,b1), On(b1,b2), On(b2,b0)", "On(b0, b1), On(b1, b2), On(b2, b0): b0 would be upon itself"),
+        ("On(b0,b1), On(b0,b2)", "both On(b0, b1) and On(b0, b2)"),
+    ],
+)
+def test_a_goal_that_no_state_can_meet_is_refused(text: str, why: str) -> None:
+    with pytest.raises(PlanningError, match="no state has") as error:
+        DOMAIN.parse_goal(text, BLOCKS)
+    assert why in str(error.value)
+
+
+@given(st.permutations(BLOCKS), st.integers(1, 4))
+def test_any_tower_is_a_goal(order: list[Object], height: int) -> None:
+    atoms = frozenset(ON(order[i], order[i + 1]) for i in range(height))
+    assert DOMAIN.parse_goal(", ".join(map(str, atoms)), BLOCKS) == atoms
+
+
+@given(st.permutations(BLOCKS), st.integers(2, 5), st.integers(0, 4))
+def test_a_ring_of_any_size_is_none(order: list[Object], size: int, more: int) -> None:
+    ring = [ON(order[i], order[(i + 1) % size]) for i in range(size)]
+    tail = [ON(order[i], order[i - 1]) for i in range(size, min(size + more, 5))]
+    with pytest.raises(PlanningError, match="upon itself"):
+        DOMAIN.parse_goal(", ".join(map(str, ring + tail)), BLOCKS)
 
 
 def test_an_unknown_predicate_names_the_valid_ones() -> None:

@@ -13,7 +13,7 @@ from resync_robot.core.symbols import Atom, Atoms, Object, Operator, Predicate, 
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.planning.abstract import Abstraction, Exists, ForAll, Not
 from resync_robot.planning.search import ground_all
-from resync_robot.planning.suppose import find_plan
+from resync_robot.planning.suppose import check_goal, find_plan
 from tests.planning.models import BLOCKS, HAND_EMPTY, HOLDING, ON, PICK, PREDICATES, RECOVER, ROBOT_0, scene
 
 COVERED = Exists(ON, (0,))
@@ -27,7 +27,7 @@ INSERT = Operator(
     frozenset({HOLDING(_r, _b0), BARE.predicate(_b1)}),
 )
 OPERATORS = (PICK, INSERT, RECOVER)
-B0, B1, B2, _ = BLOCKS
+B0, B1, B2, B3 = BLOCKS
 
 
 def never(_state: State, _objects: tuple[Object, ...]) -> float:
@@ -51,6 +51,19 @@ def test_what_lies_on_the_wrong_base_is_lifted_off_though_no_operator_says_that_
     found, supposed = find_plan(OPERATORS, ABSTRACTION, objects, atoms, frozenset({ON(B1, B0), ON(B2, B1)}))
     assert [str(s) for s in found.steps][:2] == ["Pick(robot, b2)", "Insert(robot, b2, b1)"]
     assert supposed == "Pick(robot, b2) ends On"
+
+
+def test_a_goal_out_of_reach_names_the_atoms_that_cannot_be_had_together() -> None:
+    objects, atoms = stacked()
+    check_goal(OPERATORS, ABSTRACTION, objects, atoms, frozenset({ON(B1, B0), ON(B2, B1)}))
+    with pytest.raises(PlanningError, match=r"reaches On\(b1, b0\) and On\(b2, b0\) together, and one reaches any"):
+        check_goal(OPERATORS, ABSTRACTION, objects, atoms, frozenset({ON(B1, B0), ON(B2, B0), ON(B0, B3)}))
+    with pytest.raises(PlanningError, match=r"reaches HandEmpty\(robot\) and Holding\(robot, b1\) together"):
+        both = {HOLDING(ROBOT_0, B1), HAND_EMPTY(ROBOT_0)}
+        check_goal(OPERATORS, ABSTRACTION, objects, atoms, frozenset({*both, ON(B2, B0)}))
+    unreachable = Predicate("Painted", (BLOCK,))(B0)
+    with pytest.raises(PlanningError, match=r"nothing achieves Painted\(b0\)"):
+        check_goal(OPERATORS, ABSTRACTION, objects, atoms, frozenset({unreachable, ON(B1, B0)}))
 
 
 def test_nothing_is_supposed_where_a_plan_exists() -> None:
