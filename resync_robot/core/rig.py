@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationLimits, CalibrationRecord, read_limits, read_record
 from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.core.kinematics import Kinematics
+from resync_robot.core.machines import ARMS, GRIPPERS, ArmModel, GripperModel
 from resync_robot.core.ranges import RANGES, read_number
 from resync_robot.core.rig_checks import check_rig
 from resync_robot.core.rig_fields import read_field
@@ -35,6 +37,15 @@ class ArmRig:
     acceleration_limit: np.ndarray
     jerk_limit: np.ndarray
 
+    @cached_property
+    def facts(self) -> ArmModel:
+        """What its maker says of the model."""
+        return ARMS[self.model]
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        return self.facts.kinematics
+
 
 @dataclass(frozen=True, kw_only=True)
 class GripperRig:
@@ -46,6 +57,11 @@ class GripperRig:
     max_force: float
     finger_thickness: float
     finger_width: float
+
+    @cached_property
+    def facts(self) -> GripperModel:
+        """What its maker says of the model."""
+        return GRIPPERS[self.model]
 
     @cached_property
     def flange_T_tip(self) -> np.ndarray:
@@ -143,11 +159,11 @@ class Rig:
 
     def tip_pose(self, q: Float[np.ndarray, "*b 6"]) -> Float[np.ndarray, "*b 4 4"]:
         """world_T_tip at (..., 6) joint positions in rad."""
-        return self.arm.world_T_base @ kinematics.forward(q) @ self.gripper.flange_T_tip
+        return self.arm.world_T_base @ self.arm.kinematics.forward(q) @ self.gripper.flange_T_tip
 
     def tip_jacobian(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6 6"]:
         """Linear over angular velocity of the tip in the world (m/s, rad/s), per rad/s of each joint."""
-        frames = self.arm.world_T_base @ kinematics.link_frames(q)
+        frames = self.arm.world_T_base @ self.arm.kinematics.link_frames(q)
         tip = (frames[-1] @ self.gripper.flange_T_tip)[:3, 3]
         before = np.concatenate([self.arm.world_T_base[None], frames[:-1]])
         (ax, ay, az), (x, y, z) = before[:, :3, 2].T, (tip - before[:, :3, 3]).T
@@ -162,7 +178,7 @@ class Rig:
         """world_T_cam of a camera of this rig, on the flange or in the world, at (6,) joint positions in rad."""
         if camera.mount == "world":
             return camera.pose
-        return self.arm.world_T_base @ kinematics.forward(q) @ camera.pose
+        return self.arm.world_T_base @ self.arm.kinematics.forward(q) @ camera.pose
 
     def camera(self, name: str) -> CameraRig:
         for camera in self.cameras:

@@ -10,7 +10,6 @@ import numpy as np
 
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.joints import ARM_JOINTS
-from resync_robot.core.machines import ARMS, GRIPPERS
 from resync_robot.core.ranges import RANGES, Range, require
 
 if TYPE_CHECKING:
@@ -36,8 +35,8 @@ def check_rig(rig: Rig, where: str) -> None:
 
 
 def _check_arm(rig: Rig, where: str) -> None:
-    model = ARMS[rig.arm.model]
-    for joint, limit, speed in zip(range(6), model.joint_limit, model.speed, strict=True):
+    model = rig.arm.facts
+    for joint, limit, speed in zip(range(6), model.kinematics.limit, model.speed, strict=True):
         of = f"of the {model.title}'s {ARM_JOINTS[joint]}"
         home, velocity = float(rig.arm.home[joint]), float(rig.arm.velocity_limit[joint])
         require(home, Range(-limit, limit, "rad"), f"{where}: [arm] home {of}")
@@ -48,7 +47,7 @@ def _check_arm(rig: Rig, where: str) -> None:
 
 
 def _check_gripper(rig: Rig, where: str) -> None:
-    model = GRIPPERS[rig.gripper.model]
+    model = rig.gripper.facts
     widest = STROKE_SPARE * model.stroke
     opening = replace(RANGES["gripper.max_opening"], high=widest)
     require(rig.gripper.max_opening, opening, f"{where}: [gripper] max_opening of a {model.title}")

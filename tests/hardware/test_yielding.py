@@ -16,7 +16,7 @@ from hardware.room import Room
 from hardware.safety import FIRST_RUN_SPEED
 from hardware.stream import PRESSING_SPEED
 from hardware.yielding import FURTHEST, Yielding
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.rig import load_rig
 from tests.emulators import RIG_FILE
 from tests.hardware.adversary import assert_nothing_out_of_limits
@@ -29,12 +29,12 @@ TOUCH, AHEAD = 0.02, 0.035
 
 def lowered(depths: np.ndarray) -> np.ndarray:
     """(n, 6) configurations with the tip so many m below home."""
-    branch, q, path = kinematics.branch_of(RIG.arm.home), RIG.arm.home, []
+    branch, q, path = RIG.arm.kinematics.branch_of(RIG.arm.home), RIG.arm.home, []
     base_T_world, tip_T_flange = spatial.inverse(RIG.arm.world_T_base), spatial.inverse(RIG.gripper.flange_T_tip)
     for depth in depths:
         tip = RIG.tip_pose(RIG.arm.home)
         tip[2, 3] -= depth
-        q = kinematics.inverse_along(base_T_world @ tip @ tip_T_flange, q, branch)
+        q = RIG.arm.kinematics.inverse_along(base_T_world @ tip @ tip_T_flange, q, branch)
         path.append(q)
     return np.array(path)
 

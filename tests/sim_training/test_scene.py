@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.errors import RenderError, UnknownNameError
 from resync_robot.core.rig import load_rig
 from sim_training.scene import BuiltScene, build_scene
@@ -39,13 +39,13 @@ def configurations(count: int) -> list[np.ndarray]:
 def test_the_flange_is_where_the_kinematics_put_it(built: BuiltScene, q: np.ndarray) -> None:
     built.set_configuration(q, 0.1)
     world_T_flange = built.flange.entity_pose.to_transformation_matrix()
-    np.testing.assert_allclose(world_T_flange, RIG.arm.world_T_base @ kinematics.forward(q), atol=2e-5)
+    np.testing.assert_allclose(world_T_flange, RIG.arm.world_T_base @ RIG.arm.kinematics.forward(q), atol=2e-5)
 
 
 def test_each_joint_turns_about_the_axis_of_its_frame(built: BuiltScene) -> None:
     rng = np.random.default_rng(1)
     q = rng.uniform(-2.0, 2.0, 6)
-    frames = RIG.arm.world_T_base @ kinematics.link_frames(q)
+    frames = RIG.arm.world_T_base @ RIG.arm.kinematics.link_frames(q)
     axes = np.concatenate([RIG.arm.world_T_base[None], frames[:-1]])[:, :3, 2]
     built.set_configuration(q, 0.1)
     before = built.flange.entity_pose.to_transformation_matrix()[:3, :3]
@@ -92,7 +92,7 @@ def test_pictures_have_the_rigs_shapes_and_poses(rendered: SimWorld, camera: str
     assert frame.colour.shape == (facts.height, facts.width, 3) and frame.colour.dtype == np.uint8
     assert frame.depth.shape == (facts.height, facts.width) and frame.depth.dtype == np.uint16
     np.testing.assert_array_equal(frame.intrinsics, facts.intrinsics)
-    mount = RIG.arm.world_T_base @ kinematics.forward(RIG.arm.home) if facts.mount == "flange" else np.eye(4)
+    mount = RIG.arm.world_T_base @ RIG.arm.kinematics.forward(RIG.arm.home) if facts.mount == "flange" else np.eye(4)
     np.testing.assert_allclose(frame.world_T_cam, mount @ facts.pose, atol=2e-4)
     assert frame.colour.std() > 5, "a picture of nothing"
 

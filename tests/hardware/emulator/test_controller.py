@@ -14,7 +14,6 @@ from hardware.emulator.dashboard import DashboardClient
 from hardware.emulator.program import DONE, READY, Command
 from hardware.emulator.rtde import RtdeClient, packet
 from hardware.emulator.script import ScriptClient
-from resync_robot.core import kinematics
 from resync_robot.core.rig import load_rig
 
 HOME = load_rig().arm.home
@@ -196,7 +195,7 @@ def test_forces_are_given_in_the_base_frame() -> None:
     # The base is turned by half a turn about the world's z.
     np.testing.assert_allclose(controller.outputs()["actual_TCP_force"], (-3.0, 0.0, 10.0, 0, 0, 0), atol=1e-9)
     pose = controller.outputs()["actual_TCP_pose"]
-    np.testing.assert_allclose(pose[:3], kinematics.forward(HOME)[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(pose[:3], rig.arm.kinematics.forward(HOME)[:3, 3], atol=1e-9)
 
 
 @pytest.mark.parametrize(
