@@ -32,7 +32,8 @@ PRESSED = 0.6
 TOUCHING = 0.2
 """Share of its limit below which a joint that was held back no longer touches what pressed it."""
 DAMPING, DAMPED_REACH = np.array([1200.0, 1200.0, 1200.0, 400.0, 400.0, 400.0]), 0.85
-"""N m s/rad of an arm with that reach in m. J grows with the reach: with its square the loop's rate stays the same."""
+"""N m s/rad of an arm with that reach in m, or less. J grows with the reach: with its square the loop's rate stays the
+same. A short arm gets no less: at a third of it a UR3e chattered at 1.6 times its limit, as a UR10e did at this."""
 CATCHING_UP = 15.0
 """1/s; share of its distance from the path that a joint makes good."""
 SPEED = 0.3
@@ -78,7 +79,7 @@ class Yielding:
     ) -> None:
         self._rig, self._room, self._limit = rig, room, np.asarray(limit, dtype=np.float64)
         self._free = np.where(np.isfinite(wrench), wrench, 0.0)
-        self._damping = DAMPING * (rig.arm.facts.reach / DAMPED_REACH) ** 2
+        self._damping = DAMPING * max(1.0, rig.arm.facts.reach / DAMPED_REACH) ** 2
         self._slow = rig.controller is not None and not rig.controller.full_speed
         self._speed = SPEED * (PACE if self._slow else 1.0)
         self._retreat = RETREAT * self._speed / SPEED

@@ -18,10 +18,11 @@ from hypothesis import strategies as st
 
 from resync_robot.core.calibration_record import CalibrationLimits, CalibrationRecord
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.machines import ARMS, GRIPPERS
 from resync_robot.core.ranges import RANGES, Range, read_number, require
 from resync_robot.core.rig import ArmRig, CameraRig, ControllerRig, GripperRig, Rig, load_rig
 from resync_robot.core.sensor_noise import SensorNoise
-from tests.emulators import RIG_FILE
+from tests.emulators import RIG_FILE, sister, sister_text
 
 Place = tuple[str | int, ...]
 
@@ -195,6 +196,20 @@ def test_a_real_camera_needs_its_serial_number() -> None:
     changed["controller"]["emulated"] = False
     with pytest.raises(ConfigError, match="serial of 'front' is empty"):
         read(changed)
+
+
+@pytest.mark.parametrize("model", ARMS)
+def test_a_file_of_a_sister_arm_is_read_and_keeps_its_own_limits(model: str) -> None:
+    rig, data = sister(model), tomllib.loads(sister_text(model))
+    assert rig.arm.facts is ARMS[model] and rig.gripper.facts is GRIPPERS["2f-85"]
+    for place, value, named in (
+        (("controller", "payload"), ARMS[model].payload + 0.1, "payload of a "),
+        (("arm", "velocity_limit", 0), ARMS[model].speed[0] + 0.1, "velocity_limit of the "),
+        (("arm", "home", 2), np.pi + 0.1, "home of the "),
+    ):
+        assert f"{named}{ARMS[model].title}" in refused(place, float(value), data)
+    assert "max_opening of a 2F-85" in refused(("gripper", "max_opening"), 0.14, data)
+    assert "gripper_table of a 2F-85" in refused(("controller", "gripper_table"), [[3, 0.14], [230, 0.0]], data)
 
 
 @given(st.data())

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from resync_robot.core import spatial
-from resync_robot.core.errors import RenderError, UnknownNameError
+from resync_robot.core.errors import ConfigError, RenderError, UnknownNameError
+from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import load_rig
 from sim_training.scene import BuiltScene, build_scene
 from sim_training.world import SimWorld
@@ -28,6 +31,18 @@ def rendered() -> SimWorld:
         return SimWorld(TASK, RIG, rendered=True)
     except RenderError as error:
         pytest.skip(f"no Vulkan device: {error.what}")
+
+
+@pytest.mark.parametrize("model", ["ur3e", "ur10e", "ur12e", "ur16e"])
+def test_an_arm_that_is_not_described_is_not_simulated(model: str) -> None:
+    with pytest.raises(ConfigError, match=rf"{ARMS[model].title} with a 2F-140.*allowed: ur5e or ur7e with 2f-140"):
+        SimWorld(TASK, replace(RIG, arm=replace(RIG.arm, model=model)))
+
+
+def test_another_gripper_is_not_simulated_and_a_ur5e_is() -> None:
+    with pytest.raises(ConfigError, match=r"UR7e with a 2F-85.*(\n.*)*--backend ur7e"):
+        SimWorld(TASK, replace(RIG, gripper=replace(RIG.gripper, model="2f-85")))
+    SimWorld(TASK, replace(RIG, arm=replace(RIG.arm, model="ur5e")))
 
 
 def configurations(count: int) -> list[np.ndarray]:
