@@ -98,7 +98,7 @@ class Hand:
         poses = np.broadcast_to(spatial.transform(self.rotation(self.yaw), np.zeros(3)), (len(tips), 4, 4)).copy()
         poses[:, :3, 3] = tips
         with np.errstate(invalid="ignore"):
-            q = kinematics.inverse_branch(self._base_T_world @ poses @ self._tip_T_flange, self._branch)
+            q = self.rig.arm.kinematics.inverse_branch(self._base_T_world @ poses @ self._tip_T_flange, self._branch)
         reached = np.isfinite(q).all(-1)
         if (controller := self.rig.controller) is not None:
             reached &= np.all((tips > controller.workspace_low) & (tips < controller.workspace_high), axis=1)
