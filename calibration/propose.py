@@ -15,8 +15,9 @@ from calibration.board import BoardSpec
 from calibration.detect import project
 from hardware.base import SafetyError
 from hardware.room import Room, heights
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
+from resync_robot.core.kinematics import BRANCHES
 from resync_robot.core.rig import CameraRig, Rig
 
 CANDIDATES = 1200
@@ -98,11 +99,11 @@ class Proposer:
             CalibrationError: the arm does not reach so many.
         """
         rng = np.random.default_rng(seed)
-        seen, branch = self._draw(rng), kinematics.branch_of(self.rig.arm.home)
+        seen, branch = self._draw(rng), self.rig.arm.kinematics.branch_of(self.rig.arm.home)
         q, seen = self._reachable(seen, branch)
         if self.held:
             # Nobody knows beforehand how an arm holds a board best: the branch that reaches most.
-            options = [self._reachable(self._draw(rng), b) for b in kinematics.BRANCHES]
+            options = [self._reachable(self._draw(rng), b) for b in BRANCHES]
             q, seen = max(options, key=lambda option: len(option[0]))
         chosen = self._spread(seen, min(len(q), 3 * count))
         path = self._order(q[chosen])[:count]
@@ -137,11 +138,12 @@ class Proposer:
     ) -> tuple[Float[np.ndarray, "k 6"], Float[np.ndarray, "k 4 4"]]:
         other = self.camera.pose @ seen @ spatial.inverse(self.board)
         world_T_flange = other if self.held else spatial.inverse(other)
+        arm = self.rig.arm
         with np.errstate(invalid="ignore"):
-            q = kinematics.inverse_branch(spatial.inverse(self.rig.arm.world_T_base) @ world_T_flange, branch)
-        home = self.rig.arm.home
+            q = arm.kinematics.inverse_branch(spatial.inverse(arm.world_T_base) @ world_T_flange, branch)
+        home = arm.home
         q = q + 2 * np.pi * np.round((home - q) / (2 * np.pi))
-        good = np.isfinite(q).all(-1) & (np.abs(q) <= kinematics.JOINT_LIMIT).all(-1)
+        good = np.isfinite(q).all(-1) & (np.abs(q) <= arm.kinematics.joint_limit).all(-1)
         good[good] = self.clear(q[good])
         return q[good], seen[good]
 
@@ -150,10 +152,10 @@ class Proposer:
         reach, arm = self.reach, self.rig.arm
         if not len(q):
             return np.zeros(0, dtype=bool)
-        _, tip = heights(q, arm.world_T_base[2], self.rig.gripper.tip_offset)
+        _, tip = heights(arm.kinematics, q, arm.world_T_base[2], self.rig.gripper.tip_offset)
         found = tip > reach.least_height
         for i in np.flatnonzero(found):
-            frames = arm.world_T_base @ kinematics.link_frames(q[i])
+            frames = arm.world_T_base @ arm.kinematics.link_frames(q[i])
             joints, carried = frames[:, :3, 3], spatial.apply(frames[-1], self._carried)
             shoulder, elbow, wrist = joints[0], joints[1], joints[2]
             near = min(

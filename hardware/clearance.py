@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from resync_robot.core import kinematics
+from resync_robot.core.kinematics import TWIST
+from resync_robot.core.machines import ArmModel
 from resync_robot.core.rig import Rig
 
 BASE, SHOULDER, UPPER_ARM, ELBOW, FOREARM, WRIST_1, WRIST_2, WRIST_3, HAND, CAMERA = range(10)
@@ -19,27 +20,10 @@ NAMES = (
     "base", "shoulder", "upper arm", "elbow", "forearm", "wrist 1", "wrist 2", "wrist 3", "hand",
     "camera on the flange",
 )  # fmt: skip
-UPPER_ARM_OFFSET, FOREARM_OFFSET = 0.138, 0.007
-"""m along the axes of shoulder and elbow."""
 HAND_RADIUS = 0.075
-"""m; the 2F-140 with its fingers closed, and nearly as wide where they are open."""
+"""m; the 2F-140 with its fingers closed, and nearly as wide where they are open; the 2F-85 is no wider."""
 
-# Frame (0 the base, i the DH frame of joint i), both ends in it (m), radius (m).
-_D, _A = np.array(kinematics.D), np.array(kinematics.A)
-_CA, _SA = np.array(kinematics.TWIST).T
-_LINK = np.zeros((6, 4, 4))
-"""What of a link's transform does not depend on its joint."""
-_LINK[:, 2, 1], _LINK[:, 2, 2], _LINK[:, 2, 3], _LINK[:, 3, 3] = _SA, _CA, _D, 1.0
-_LINKS = {
-    BASE: (0, (0, 0, 0), (0, 0, _D[0]), 0.075),
-    SHOULDER: (1, (0, 0, 0), (0, 0, UPPER_ARM_OFFSET), 0.065),
-    UPPER_ARM: (2, (-_A[1], 0, UPPER_ARM_OFFSET), (0, 0, UPPER_ARM_OFFSET), 0.060),
-    ELBOW: (2, (0, 0, UPPER_ARM_OFFSET), (0, 0, FOREARM_OFFSET), 0.060),
-    FOREARM: (3, (-_A[2], 0, FOREARM_OFFSET), (0, 0, FOREARM_OFFSET), 0.050),
-    WRIST_1: (3, (0, 0, FOREARM_OFFSET), (0, 0, _D[3]), 0.047),
-    WRIST_2: (4, (0, 0, 0), (0, 0, _D[4]), 0.047),
-    WRIST_3: (5, (0, 0, 0), (0, 0, _D[5]), 0.045),
-}
+_CA, _SA = np.array(TWIST).T
 # Neighbours touch by construction, and so do parts that one joint alone keeps apart.
 PAIRS = (
     *((BASE, part) for part in (FOREARM, WRIST_1, WRIST_2, WRIST_3, HAND, CAMERA)),
@@ -85,10 +69,14 @@ class Clearance:
 
     def __init__(self, rig: Rig, table_z: float = 0.0) -> None:
         self._world_T_base, self._table_z = rig.arm.world_T_base, table_z
+        self._a, self._link = np.array(rig.arm.kinematics.a), np.zeros((6, 4, 4))
+        # What of a link's transform does not depend on its joint.
+        self._link[:, 2, 1], self._link[:, 2, 2], self._link[:, 3, 3] = _SA, _CA, 1.0
+        self._link[:, 2, 3] = rig.arm.kinematics.d
         reach = rig.gripper.tip_offset - HAND_RADIUS
         mounted = [c.pose[:3, 3] for c in rig.cameras if c.mount == "flange"]
         camera = mounted[0] if mounted else np.zeros(3)
-        links = _LINKS | {
+        links = _links(rig.arm.facts) | {
             HAND: (6, (0, 0, min(0.03, reach)), (0, 0, reach), HAND_RADIUS),
             CAMERA: (6, (0, 0, float(camera[2])), tuple(camera), 0.03),
         }
@@ -115,9 +103,9 @@ class Clearance:
         """Poses in the world of the base and of the six DH frames, the last of which is the flange's."""
         cos, sin = np.cos(q), np.sin(q)
         links = np.empty((len(q), 6, 4, 4))
-        links[:] = _LINK
-        links[..., 0, 0], links[..., 0, 1], links[..., 0, 2], links[..., 0, 3] = cos, sin * -_CA, sin * _SA, _A * cos
-        links[..., 1, 0], links[..., 1, 1], links[..., 1, 2], links[..., 1, 3] = sin, cos * _CA, cos * -_SA, _A * sin
+        links[:], a = self._link, self._a
+        links[..., 0, 0], links[..., 0, 1], links[..., 0, 2], links[..., 0, 3] = cos, sin * -_CA, sin * _SA, a * cos
+        links[..., 1, 0], links[..., 1, 1], links[..., 1, 2], links[..., 1, 3] = sin, cos * _CA, cos * -_SA, a * sin
         frames = np.empty((len(q), 7, 4, 4))
         frames[:, 0] = self._world_T_base
         for i in range(6):
@@ -170,6 +158,23 @@ class Clearance:
         ends, radius = ends[:, self._above], self._radius[self._above]
         height = ends[..., 2].min(axis=2) - radius - self._table_z
         return np.concatenate([between, height, *(_outside(ends, o) - radius for o in self._obstacles)], axis=1)
+
+
+def _links(arm: ArmModel) -> dict[int, tuple[int, tuple[float, ...], tuple[float, ...], float]]:
+    """Of each part of the arm: frame (0 the base, i the DH frame of joint i), both ends in it (m), radius (m)."""
+    (d1, _, _, d4, d5, d6), (_, a2, a3, _, _, _) = arm.kinematics.d, arm.kinematics.a
+    shoulder, elbow = arm.shape.shoulder, arm.shape.elbow
+    ends = {
+        BASE: (0, (0, 0, 0), (0, 0, d1)),
+        SHOULDER: (1, (0, 0, 0), (0, 0, shoulder)),
+        UPPER_ARM: (2, (-a2, 0, shoulder), (0, 0, shoulder)),
+        ELBOW: (2, (0, 0, shoulder), (0, 0, elbow)),
+        FOREARM: (3, (-a3, 0, elbow), (0, 0, elbow)),
+        WRIST_1: (3, (0, 0, elbow), (0, 0, d4)),
+        WRIST_2: (4, (0, 0, 0), (0, 0, d5)),
+        WRIST_3: (5, (0, 0, 0), (0, 0, d6)),
+    }
+    return {part: (*end, radius) for (part, end), radius in zip(ends.items(), arm.shape.radii, strict=True)}
 
 
 def _outside(ends: Float[np.ndarray, "n p 2 3"], obstacle: Obstacle) -> Float[np.ndarray, "n p"]:

@@ -9,6 +9,7 @@ import socket
 import time
 
 from hardware.base import Connected, ProtectiveStopError, RobotError
+from resync_robot.core.machines import ARMS, ArmModel
 
 PORT = 29999
 MAX_REPLY = 4096
@@ -128,6 +129,17 @@ class Dashboard(Connected):
         if self.ask("is in remote control").lower() != "true":
             raise RobotError(
                 "the robot is in local control", "switch it to remote control at the top right of the teach pendant"
+            )
+
+    def require_arm(self, model: ArmModel) -> None:
+        """Raises RobotError where the controller says that its arm has other lengths than the rig's has."""
+        said = self.ask("get robot model").upper()
+        same = [arm for arm in ARMS.values() if arm.polyscope == said]
+        # What it calls an arm that is not known here proves nothing.
+        if same and all(arm.kinematics != model.kinematics for arm in same):
+            raise RobotError(
+                f"the controller's arm is a {said}, the rig file says {model.title}",
+                f'write it as: model = "{next(name for name, arm in ARMS.items() if arm in same)}" under [arm]',
             )
 
     def stop_program(self) -> bool:

@@ -1,4 +1,4 @@
-"""The Robotiq 2F-140 over the socket that its URCap opens on the controller.
+"""The Robotiq 2F-85 or 2F-140 over the socket that its URCap opens on the controller.
 
 The socket speaks in registers and counts; here it is openings in m. Requests go out from a thread of their own, so that
 a slow answer never holds up the setpoints of the arm.
@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from hardware.base import Connected, GripperState, RobotError
 from hardware.pauses import pauses
+from resync_robot.core.machines import GRIPPERS, GripperModel
 
 _log = logging.getLogger(__name__)
 
@@ -28,8 +29,6 @@ ACTIVATION_LIMIT_S = 10.0
 STALE_S = 0.5
 DEFAULT_TABLE = ((3, 0.140), (230, 0.0))
 """(counts, m between the pads), open to closed. Every unit differs: measure it with a calliper."""
-MIN_SPEED, MAX_SPEED = 0.030, 0.250
-"""m/s of opening at SPE 0 and 255."""
 MAX_LINE = 64
 FAULTS = {
     5: "the motion waits for the activation to finish",
@@ -56,13 +55,14 @@ class ObjectStatus(IntEnum):
 
 
 class Robotiq(Connected):
-    """A 2F-140, activated and ready.
+    """A two-finger gripper, activated and ready.
 
     Args:
         address: IPv4 address of the controller that carries the URCap.
         table: measured (counts, m) pairs, counts rising, openings falling; the rig file's reader sees to that.
-        speed: m/s of opening, MIN_SPEED to MAX_SPEED.
+        speed: m/s of opening; None for the fastest of the model.
         force: 0 to 1 of what the gripper can do; counts of force are no newtons.
+        model: whose speeds the counts 0 and 255 stand for.
 
     Raises:
         RobotError: a speed or force that cannot be.
@@ -72,17 +72,18 @@ class Robotiq(Connected):
         self,
         address: str,
         table: Sequence[Sequence[float]] | Float[np.ndarray, "n 2"] = DEFAULT_TABLE,
-        speed: float = MAX_SPEED,
+        speed: float | None = None,
         force: float = 0.2,
         port: int = PORT,
+        model: GripperModel = GRIPPERS["2f-140"],
     ) -> None:
-        if not MIN_SPEED <= speed <= MAX_SPEED or not 0.0 <= force <= 1.0:
-            raise RobotError(
-                f"gripper speed {speed} m/s and force {force}; allowed: {MIN_SPEED} to {MAX_SPEED} m/s and 0 to 1"
-            )
+        least, most = model.speed
+        speed = most if speed is None else speed
+        if not least <= speed <= most or not 0.0 <= force <= 1.0:
+            raise RobotError(f"gripper speed {speed} m/s and force {force}; allowed: {least} to {most} m/s and 0 to 1")
         self._where = (address, port)
         self._counts, self._openings = np.array(table, dtype=float).T
-        self._spe = round(255 * (speed - MIN_SPEED) / (MAX_SPEED - MIN_SPEED))
+        self._spe = round(255 * (speed - least) / (most - least))
         self._for = round(255 * force)
         self._socket: socket.socket | None = None
         self._thread: threading.Thread | None = None

@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from hardware.base import SafetyError
 from hardware.clearance import Clearance, Obstacle
-from resync_robot.core import kinematics
 from resync_robot.core.joints import ARM_JOINTS
+from resync_robot.core.kinematics import Kinematics
 from resync_robot.core.rig import Rig
 
 MARGIN = 0.015
@@ -31,6 +31,7 @@ class Room:
     def __init__(self, rig: Rig, table_z: float = 0.0, margin: float = 0.01) -> None:
         self.table_z, self.margin = table_z, margin
         self.floor = table_z - margin
+        self._kinematics = rig.arm.kinematics
         self._tip_offset = rig.gripper.tip_offset
         self._base_up = rig.arm.world_T_base[2]
         self._controller = rig.controller
@@ -59,10 +60,10 @@ class Room:
 
     def check_joints(self, q: Float[np.ndarray, "n 6"]) -> None:
         """What costs little: numbers, the joints' own limits, and the floor. Raises SafetyError."""
-        wrong = ~(np.abs(q) <= kinematics.JOINT_LIMIT)
+        wrong = ~(np.abs(q) <= self._kinematics.joint_limit)
         if wrong.any():
             row, joint = (int(i) for i in np.argwhere(wrong)[0])
-            value, allowed = float(q[row, joint]), float(kinematics.JOINT_LIMIT[joint])
+            value, allowed = float(q[row, joint]), self._kinematics.limit[joint]
             if not np.isfinite(value):
                 raise SafetyError(
                     "finite", ARM_JOINTS[joint], value, np.inf, f"{ARM_JOINTS[joint]} is asked to go to {value}"
@@ -72,7 +73,7 @@ class Room:
                 f"{ARM_JOINTS[joint]} would have position {value:.4g} rad, setpoint {row + 1} of {len(q)}; "
                 f"allowed: +-{allowed:.4g} rad",
             )  # fmt: skip
-        flange, tip = heights(q, self._base_up, self._tip_offset)
+        flange, tip = heights(self._kinematics, q, self._base_up, self._tip_offset)
         for name, height in (("tip", tip), ("flange", flange)):
             lowest = float(height.min())
             if lowest < self.floor:
@@ -110,18 +111,18 @@ class Room:
 
 
 def heights(
-    q: Float[np.ndarray, "n 6"], base_up: Float[np.ndarray, "4"], tip_offset: float
+    kinematics: Kinematics, q: Float[np.ndarray, "n 6"], base_up: Float[np.ndarray, "4"], tip_offset: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Heights of flange and tip in the world, m; `base_up` is the third row of world_T_base.
 
-    The closed form of `kinematics.forward`, with the world's up axis seen from the frame of joint 1, for that is all
+    The closed form of `Kinematics.forward`, with the world's up axis seen from the frame of joint 1, for that is all
     a height needs: a fraction of the time of whole matrices, which counts at 500 Hz.
     """
     angles = q[:, :5].T.copy()
     angles[2] += angles[1]
     angles[3] += angles[2]
     (c1, c2, c23, c234, c5), (s1, s2, s23, s234, s5) = np.cos(angles), np.sin(angles)
-    a2, a3, (d1, _, _, d4, d5, d6) = kinematics.A[1], kinematics.A[2], kinematics.D
+    (d1, _, _, d4, d5, d6), (_, a2, a3, _, _, _) = kinematics.d, kinematics.a
     up_x, up_y, up_z, base = base_up.tolist()
     up_along, up_across = up_x * c1 + up_y * s1, up_x * s1 - up_y * c1
     # The flange's z axis and the middle of the wrist's last joint; across the arm they are c5 and d4.

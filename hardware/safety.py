@@ -19,8 +19,6 @@ from hardware.room import Room
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import Rig
 
-MAX_GRIPPER_SPEED = 0.25
-"""m/s of pad opening; the specification of the 2F-140."""
 FIRST_RUN_SPEED = 0.25
 """m/s of the tip until somebody has confirmed the motions at this machine; the usual figure for people nearby."""
 STRIDE = 5
@@ -236,11 +234,12 @@ class Guard:
 
     def _check_opening_speed(self, openings: np.ndarray) -> None:
         steps = np.abs(openings - np.concatenate([[self._opening], openings[:-1]])) / SERVO_PERIOD
-        if steps.max(initial=0.0) > MAX_GRIPPER_SPEED * (1 + _ROUNDING):
+        _, most = self._rig.gripper.facts.speed
+        if steps.max(initial=0.0) > most * (1 + _ROUNDING):
             fastest = float(steps.max())
             raise SafetyError(
-                "opening speed", "gripper", fastest, MAX_GRIPPER_SPEED,
-                f"the opening would change at {fastest:.3f} m/s; allowed: {MAX_GRIPPER_SPEED} m/s",
+                "opening speed", "gripper", fastest, most,
+                f"the opening would change at {fastest:.3f} m/s; allowed: {most} m/s",
             )  # fmt: skip
 
     def _compare(self, quantity: str, unit: str, values: np.ndarray, limit: np.ndarray) -> None:

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from hardware.base import SERVO_PERIOD, Command, RealtimeRobot, Robot, RobotError, RobotState, SafetyError, StarvedError
 from hardware.clearance import Obstacle
 from hardware.generator import Generator, Motion, Way
-from hardware.safety import FIRST_RUN_SPEED, MAX_GRIPPER_SPEED, Guard
+from hardware.safety import FIRST_RUN_SPEED, Guard
 from resync_robot.core.episode import Timing
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
@@ -33,8 +33,6 @@ from resync_robot.core.rig import Rig
 
 OVERSHOOT = 1e-3
 """rad; 0.8 mm at the tip of the stretched arm."""
-MIN_GRIPPER_SPEED = 0.03
-"""m/s of pad opening; the 2F-140 moves no slower."""
 JUMP_SLACK = 0.05
 """rad by which a target may lie further from the one before than the arm gets at its fastest: lag, and targets that
 are built on the measured pose. Anything further is a mistake of the caller, not a step of a skill."""
@@ -78,7 +76,7 @@ class Stream:
         robot: a connected robot; it is taken where it stands, at rest.
         rig: limits, mounting and gripper.
         recorders: called `record_hz` times a second with the measurement and the command of that moment.
-        gripper_speed: m/s at which the opening changes, MIN_GRIPPER_SPEED to MAX_GRIPPER_SPEED.
+        gripper_speed: m/s at which the opening changes, within what the gripper can do.
         guard: the safety gate, where other heights than the default are wanted.
     """
 
@@ -92,10 +90,9 @@ class Stream:
         gripper_speed: float = 0.15,
         guard: Guard | None = None,
     ) -> None:
-        if not MIN_GRIPPER_SPEED <= gripper_speed <= MAX_GRIPPER_SPEED:
-            raise MotionError(
-                f"gripper speed {gripper_speed} m/s; allowed: {MIN_GRIPPER_SPEED} to {MAX_GRIPPER_SPEED} m/s"
-            )
+        least, most = rig.gripper.facts.speed
+        if not least <= gripper_speed <= most:
+            raise MotionError(f"gripper speed {gripper_speed} m/s; allowed: {least} to {most} m/s")
         if not 1.0 <= record_hz <= 1.0 / SERVO_PERIOD:
             raise MotionError(f"recording at {record_hz} Hz; allowed: 1 to {1 / SERVO_PERIOD:.0f} Hz")
         self.recorders: list[Recorder] = list(recorders or [])

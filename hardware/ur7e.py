@@ -1,4 +1,4 @@
-"""The UR7e through the real ur-rtde, which lives in a supervised process (`hardware.ur_process`)."""
+"""A UR e-Series arm through the real ur-rtde, which lives in a supervised process (`hardware.ur_process`)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ SAFETY_NAMES = {
 
 
 class Ur7e(Connected):
-    """A UR7e with the gripper it carries; a `RealtimeRobot`.
+    """A UR7e, or a sister of it, with the gripper it carries; a `RealtimeRobot`.
 
     Args:
         rig: with a [controller] section.
@@ -85,6 +85,7 @@ class Ur7e(Connected):
                 raise RobotError("the package ur-rtde is not installed", INSTALL)
         with Dashboard(self._controller.address) as dashboard:
             dashboard.require_ready()
+            dashboard.require_arm(self._rig.arm.facts)
         self.gripper.connect()
         try:
             self._opening = self.gripper.state().opening

@@ -31,8 +31,9 @@ PRESSED = 0.6
 """Share of a joint's limit from which it is held back. What accelerates the hand, and noise, stay below."""
 TOUCHING = 0.2
 """Share of its limit below which a joint that was held back no longer touches what pressed it."""
-DAMPING = np.array([1200.0, 1200.0, 1200.0, 400.0, 400.0, 400.0])
-"""N m s/rad."""
+DAMPING, DAMPED_REACH = np.array([1200.0, 1200.0, 1200.0, 400.0, 400.0, 400.0]), 0.85
+"""N m s/rad of an arm with that reach in m, or less. J grows with the reach: with its square the loop's rate stays the
+same. A short arm gets no less: at a third of it a UR3e chattered at 1.6 times its limit, as a UR10e did at this."""
 CATCHING_UP = 15.0
 """1/s; share of its distance from the path that a joint makes good."""
 SPEED = 0.3
@@ -78,6 +79,7 @@ class Yielding:
     ) -> None:
         self._rig, self._room, self._limit = rig, room, np.asarray(limit, dtype=np.float64)
         self._free = np.where(np.isfinite(wrench), wrench, 0.0)
+        self._damping = DAMPING * max(1.0, rig.arm.facts.reach / DAMPED_REACH) ** 2
         self._slow = rig.controller is not None and not rig.controller.full_speed
         self._speed = SPEED * (PACE if self._slow else 1.0)
         self._retreat = RETREAT * self._speed / SPEED
@@ -143,7 +145,7 @@ class Yielding:
         held |= pressed
         # How fast it may go against what pushes it: a hyperbola, and its tangent where it is pushed beyond its limit.
         share = np.clip(self._pushed * torque / self._limit, TOUCHING, None)
-        spare = (1.0 / np.minimum(share, 1.0) - 1.0 - np.maximum(share - 1.0, 0.0)) * self._limit / DAMPING
+        spare = (1.0 / np.minimum(share, 1.0) - 1.0 - np.maximum(share - 1.0, 0.0)) * self._limit / self._damping
         # What runs ahead of the arm at an impact is taken back at once, and no more than that.
         ahead = np.maximum(self._pushed * (q - self._motion.position), 0.0)
         back = np.maximum(BACK * spare, np.minimum(spare, -CATCHING_UP * ahead))

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.errors import MotionError, PerceptionError
+from resync_robot.core.kinematics import BRANCHES
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
 
@@ -137,15 +138,15 @@ class Scan:
 
     def _plan(self, viewpoints: Sequence[Viewpoint]) -> list[Float[np.ndarray, "6"]]:
         """Configurations on the arm's branch at home: another branch would fold the forearm into the picture."""
-        arm = self._rig.arm
-        branch = min(kinematics.BRANCHES, key=lambda b: self._distance_from_home(b))
+        arm, kinematics = self._rig.arm, self._rig.arm.kinematics
+        branch = min(BRANCHES, key=lambda b: self._distance_from_home(b))
         base_T_world, tip_T_flange = spatial.inverse(arm.world_T_base), spatial.inverse(self._rig.gripper.flange_T_tip)
         configurations, last = [], arm.home
         for view in viewpoints:
             with np.errstate(invalid="ignore"):
                 q = kinematics.inverse_branch(base_T_world @ self.tip_pose(view) @ tip_T_flange, branch)
             q = q + 2 * np.pi * np.round((last - q) / (2 * np.pi))
-            limit = kinematics.JOINT_LIMIT
+            limit = kinematics.joint_limit
             q = np.where(q > limit, q - 2 * np.pi, np.where(q < -limit, q + 2 * np.pi, q))
             if not np.all(np.abs(q) <= limit):
                 raise MotionError(f"the arm cannot hold the wrist camera at {view}", "move the viewpoint nearer")
@@ -154,7 +155,7 @@ class Scan:
         return configurations
 
     def _distance_from_home(self, branch: tuple[int, int, int]) -> float:
-        home = self._rig.arm.home
+        home, kinematics = self._rig.arm.home, self._rig.arm.kinematics
         with np.errstate(invalid="ignore"):
             q = kinematics.inverse_branch(kinematics.forward(home), branch)
         away = np.abs(spatial.wrap(q - home)).max()

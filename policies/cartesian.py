@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float
 
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
@@ -75,7 +75,7 @@ class Hand:
         self._base_T_world = spatial.inverse(rig.arm.world_T_base)
         self._tip_T_flange = spatial.inverse(rig.gripper.flange_T_tip)
         self._q = first.arm.copy()
-        self._branch = kinematics.branch_of(first.arm)
+        self._branch = rig.arm.kinematics.branch_of(first.arm)
         tip = rig.tip_pose(first.arm)
         self.position = tip[:3, 3].copy()
         self.yaw = float(np.arctan2(tip[1, 0], tip[0, 0]))
@@ -88,7 +88,8 @@ class Hand:
 
     def target(self) -> JointTarget:
         tip = spatial.transform(self.rotation(self.yaw), self.position)
-        self._q = kinematics.inverse_along(self._base_T_world @ tip @ self._tip_T_flange, self._q, self._branch)
+        base_T_flange = self._base_T_world @ tip @ self._tip_T_flange
+        self._q = self.rig.arm.kinematics.inverse_along(base_T_flange, self._q, self._branch)
         return JointTarget(self._q, self.opening)
 
     def reaches(self, tips: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
@@ -97,7 +98,7 @@ class Hand:
         poses = np.broadcast_to(spatial.transform(self.rotation(self.yaw), np.zeros(3)), (len(tips), 4, 4)).copy()
         poses[:, :3, 3] = tips
         with np.errstate(invalid="ignore"):
-            q = kinematics.inverse_branch(self._base_T_world @ poses @ self._tip_T_flange, self._branch)
+            q = self.rig.arm.kinematics.inverse_branch(self._base_T_world @ poses @ self._tip_T_flange, self._branch)
         reached = np.isfinite(q).all(-1)
         if (controller := self.rig.controller) is not None:
             reached &= np.all((tips > controller.workspace_low) & (tips < controller.workspace_high), axis=1)

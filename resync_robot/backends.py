@@ -173,7 +173,9 @@ class _Ur7eLab(AbstractContextManager[Devices]):
         rig, controller = self._rig, require_controller(self._rig)
         cameras: dict[str, Camera] = {}
         truth: Callable[[], State] | None = None
-        gripper = Robotiq(controller.address, controller.gripper_table, force=controller.gripper_force)
+        gripper = Robotiq(
+            controller.address, controller.gripper_table, force=controller.gripper_force, model=rig.gripper.facts
+        )
         robot = Ur7e(rig, gripper)
         if controller.emulated:
             lab = self._stack.enter_context(LabClient(controller.address))

@@ -21,7 +21,6 @@ from hardware.stream import Stream
 from hardware.travel import travel
 from resync_robot.calibration_machine import Machine, open_machine, picture_folder, poster_of
 from resync_robot.calibration_settings import CheckConfig, HandEyeConfig, IntrinsicsConfig, LookConfig, check_target
-from resync_robot.core import kinematics
 from resync_robot.core.calibration_record import CalibrationRecord, complaints
 from resync_robot.core.errors import CalibrationError, ResyncError
 from resync_robot.core.joints import JointTarget
@@ -181,7 +180,7 @@ def _calibrator(config: LookConfig, camera: CameraRig) -> Calibrator:
 
 def _views(calibrator: Calibrator, rig: Rig, shots: list[Shot], least: int) -> list[View]:
     return [
-        calibrator.view(shot.name, rig.arm.world_T_base @ kinematics.forward(shot.q), sighting.corners)
+        calibrator.view(shot.name, rig.arm.world_T_base @ rig.arm.kinematics.forward(shot.q), sighting.corners)
         for shot, sighting in usable(shots, least)
     ]
 

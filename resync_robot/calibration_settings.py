@@ -9,7 +9,7 @@ from typing import Literal
 
 from calibration.board import BoardSpec
 from resync_robot.core.errors import ConfigError
-from resync_robot.core.ranges import check_range, check_seed
+from resync_robot.core.options import check_range, check_seed
 
 MOST_POSES, MOST_THINGS = 100, 4
 """Of one run: pictures of a board; things in a row."""

@@ -90,7 +90,7 @@ def deploy(config: DeployConfig) -> int:
     """
     from hardware.base import Halt
     from resync_robot.core.library import load_library
-    from resync_robot.core.ranges import MOST_EPISODES, check_range, check_seed
+    from resync_robot.core.options import MOST_EPISODES, check_range, check_seed
     from resync_robot.core.rig import load_rig
     from resync_robot.knowledge import camera_recovery, learned_model, sees_by_camera, shipped_library
     from resync_robot.learning.camera_view import VIEWS

@@ -21,7 +21,7 @@ from perception.naming import UnsettledSceneError
 from perception.objects import SceneEstimator
 from perception.scan import Scan
 from perception.segment import Segmenter
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.episode import Timing
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
 from resync_robot.core.joints import JointTarget
@@ -247,6 +247,7 @@ class DeployedWorld:
         tip = self.rig.tip_pose(q)
         if tip[2, 3] >= SAFE_TIP:
             return
+        kinematics = self.rig.arm.kinematics
         branch = kinematics.branch_of(q)
         for z in np.arange(tip[2, 3], SAFE_TIP + 0.002, 0.002):
             lifted = tip.copy()

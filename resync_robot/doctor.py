@@ -174,7 +174,7 @@ def check_rig(path: Path | None) -> Finding:
     try:
         rig = load_rig(path)
     except ResyncError as error:
-        return Finding("rig", "fail", error.what, error.fix)
+        return Finding("rig", "fail", error.what, error.fix or f"mend it, then: resync-robot doctor --rig {path}")
     cameras = ", ".join(c.name for c in rig.cameras)
     return Finding("rig", "ok", f"'{rig.name}' ({rig.arm.model}, {rig.gripper.model}, cameras {cameras}), {rig.hash}")
 

@@ -14,10 +14,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.episode import Episode, EventKind, Plan
 from resync_robot.core.errors import ConfigError, EpisodeError
 from resync_robot.core.joints import ARM_JOINTS
+from resync_robot.core.kinematics import ALPHA, Kinematics
+from resync_robot.core.machines import ARMS
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX
@@ -110,6 +112,7 @@ def save_pictures(pictures: Mapping[str, np.ndarray], path: Path) -> None:
 class _Geometry:
     """The few facts of the recorded rig that a drawing needs, SI units."""
 
+    kinematics: Kinematics
     world_T_base: np.ndarray
     tip_offset: float
     finger_thickness: float
@@ -121,7 +124,7 @@ class _Geometry:
             arm, gripper = episode.meta.rig["arm"], episode.meta.rig["gripper"]
             pose = np.array(arm["world_T_base"], dtype=np.float64).reshape(4, 4)
             sizes = (float(gripper[name]) for name in ("tip_offset", "finger_thickness", "finger_width"))
-            return _Geometry(pose, *sizes)
+            return _Geometry(ARMS[arm["model"]].kinematics, pose, *sizes)
         except (KeyError, TypeError, ValueError) as error:
             raise EpisodeError(f"{episode.path}: the rig in /meta cannot be used: {error}") from None
 
@@ -141,10 +144,11 @@ def _draw_about(episode: Episode, recording: rr.RecordingStream) -> None:
 def _draw_robot(episode: Episode, recording: rr.RecordingStream) -> None:
     """Links as capsules, hand and fingers as boxes, joints as curves."""
     geometry = _Geometry.of(episode)
+    kinematics = geometry.kinematics
     joints = list(episode.joints())
     for i, (joint, radius) in enumerate(zip(ARM_JOINTS, LINK_RADII, strict=True)):
         # The previous joint seen from this link's frame does not depend on the joint's angle.
-        back = -np.array([kinematics.A[i], *(kinematics.D[i] * f(kinematics.ALPHA[i]) for f in (np.sin, np.cos))])
+        back = -np.array([kinematics.a[i], *(kinematics.d[i] * f(ALPHA[i]) for f in (np.sin, np.cos))])
         recording.log(f"world/robot/{joint}", _capsule(back, radius), static=True)
     palm = rr.Boxes3D(half_sizes=[np.array(PALM) / 2], centers=[[0, 0, PALM[2] / 2]], colors=DARK, fill_mode="solid")
     recording.log("world/robot/hand", palm, static=True)

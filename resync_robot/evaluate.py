@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError, UnknownNameError
-from resync_robot.core.ranges import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
+from resync_robot.core.options import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
 from resync_robot.evaluation_report import EPISODE, EpisodeRow, count_once, report, table
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import Any
 from resync_robot import __version__
 from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError
-from resync_robot.core.ranges import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
+from resync_robot.core.options import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
 from resync_robot.core.rig import load_rig
 from resync_robot.evaluation_report import count_once
 from resync_robot.perception_report import draw_reliability, perception_report, perception_table

@@ -19,7 +19,7 @@ from perception.scan import Scan
 from resync_robot.core import spatial
 from resync_robot.core.damage import Shape
 from resync_robot.core.errors import PerceptionError, UnknownNameError
-from resync_robot.core.ranges import MOST_EPISODES
+from resync_robot.core.options import MOST_EPISODES
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object

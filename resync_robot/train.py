@@ -70,7 +70,7 @@ def train(config: TrainConfig) -> None:
     """
     from resync_robot import run_folder
     from resync_robot.core.lock import LOCK, sole_writer
-    from resync_robot.core.ranges import MOST_WORKERS, check_range, check_seed
+    from resync_robot.core.options import MOST_WORKERS, check_range, check_seed
     from resync_robot.progress import say
     from resync_robot.run_settings import CONFIG, SHAPING, RunSettings
     from sim_training.domains import find_domain

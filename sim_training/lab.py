@@ -37,7 +37,7 @@ LAYOUT_LIMIT_S = 60.0
 
 
 class Lab:
-    """A simulated UR7e, its gripper and its cameras, behind the protocols of real ones.
+    """A simulated arm, its gripper and its cameras, behind the protocols of real ones.
 
     Args:
         rig: with a [controller] section that says it is emulated.
@@ -56,9 +56,9 @@ class Lab:
         self.rig = rig
         self._task = self._scene({"domain": "cornered-insertion-s", "scenario": "s1", "seed": 0, "episode": 0})
         self.world = SimWorld(self._task, rig)
-        settings = ControllerSettings(world_T_base=rig.arm.world_T_base)
+        settings = ControllerSettings(world_T_base=rig.arm.world_T_base, model=rig.arm.facts)
         self.controller = Controller(SimulatedArm(self.world), settings)
-        self.gripper = EmulatedGripper(rig.gripper.max_opening, activated=True)
+        self.gripper = EmulatedGripper(rig.gripper.max_opening, activated=True, model=rig.gripper.facts)
         self.emulator = Emulator(self.controller, rig.controller.address, self.gripper)
         if faults is not None:
             self.emulator.every_tick.append(faults)

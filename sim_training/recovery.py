@@ -14,7 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
+from resync_robot.core.kinematics import WORK_BRANCH
 from resync_robot.core.rig import Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
@@ -171,7 +172,7 @@ class FailedWorlds:
         self._base_T_world = self.array(spatial.inverse(rig.arm.world_T_base))
         self._flange_T_tip = self.array(rig.gripper.flange_T_tip)
         self._tip_T_flange = self.array(spatial.inverse(rig.gripper.flange_T_tip))
-        self._home = self.array(rig.arm.home)
+        self._home, self._kinematics = self.array(rig.arm.home), rig.arm.kinematics
 
     def array(self, value: Any) -> Any:
         """`value` in double precision, as the scenes speak: a numpy array or a tensor on the device."""
@@ -196,12 +197,13 @@ class FailedWorlds:
         xp = self._xp
         world_T_tip = self._world_T_tip[self.index(task)]
         world_T_tip[:, :3, 3] = self.array(tip)
-        q = kinematics.inverse_branch(self._base_T_world @ world_T_tip @ self._tip_T_flange, kinematics.WORK_BRANCH, xp)
+        base_T_flange = self._base_T_world @ world_T_tip @ self._tip_T_flange
+        q = self._kinematics.inverse_branch(base_T_flange, WORK_BRANCH, xp)
         return q + 2 * np.pi * xp.round((self._home - q) / (2 * np.pi))
 
     def tip_at(self, joints: Any) -> Tensor:
         """(k, 3) tip positions at (k, 6) joints."""
-        pose = self._world_T_base @ kinematics.forward(self.array(joints), self._xp) @ self._flange_T_tip
+        pose = self._world_T_base @ self._kinematics.forward(self.array(joints), self._xp) @ self._flange_T_tip
         return torch.as_tensor(pose[:, :3, 3], dtype=torch.float32)
 
     def states(self, joints: Any, blocks: Any, commanded: Tensor, task: Tensor) -> Tensor:

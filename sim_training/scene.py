@@ -13,8 +13,9 @@ import numpy as np
 import sapien
 from sapien import physx, render
 
-from resync_robot.core.errors import RenderError
+from resync_robot.core.errors import ConfigError, RenderError
 from resync_robot.core.joints import ARM_JOINTS
+from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
@@ -166,7 +167,19 @@ def _bodies_only() -> str:
     return ElementTree.tostring(tree.getroot(), encoding="unicode")
 
 
+def require_simulated(rig: Rig) -> None:
+    """Raises ConfigError where the rig's arm or gripper is not the one that is described for the simulator."""
+    if rig.arm.kinematics != ARMS["ur7e"].kinematics or rig.gripper.model != "2f-140":
+        alike = [name for name, arm in ARMS.items() if arm.kinematics == ARMS["ur7e"].kinematics]
+        raise ConfigError(
+            f"the rig '{rig.name}' is a {rig.arm.facts.title} with a {rig.gripper.facts.title}, of which there is no "
+            f"simulation; allowed: {' or '.join(alike)} with 2f-140",
+            "drive it with --backend ur7e, or simulate with a rig of those",
+        )
+
+
 def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendered: bool) -> physx.PhysxArticulation:
+    require_simulated(rig)
     loader = scene.create_urdf_loader()
     loader.fix_root_link = True
     if rendered:

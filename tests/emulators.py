@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -20,6 +22,9 @@ from hardware.emulator.arm import KinematicArm
 from hardware.emulator.controller import Controller, ControllerSettings
 from hardware.emulator.gripper import EmulatedGripper
 from hardware.emulator.server import Emulator
+from resync_robot.core import spatial
+from resync_robot.core.kinematics import WORK_BRANCH
+from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import Rig, load_rig
 
 RIG_FILE = Path(__file__).parents[1] / "hardware" / "emulated.toml"
@@ -31,9 +36,36 @@ def address() -> str:
     return f"127.{1 + os.getpid() % 250}.{os.getpid() // 250 % 250}.{next(_count) % 250}"
 
 
-def rig_at(where: str, **controller: object) -> Rig:
-    """The emulated rig at that address; a busy machine gets more time than a lab would allow itself."""
-    rig = load_rig(RIG_FILE)
+def sister_text(model: str) -> str:
+    """The emulated rig's file as a lab with another arm and a 2F-85 writes it."""
+    text, rig, arm = RIG_FILE.read_text(), load_rig(RIG_FILE), ARMS[model]
+    front, low, tip_offset = 0.5 * arm.reach, 0.2 * arm.reach, 0.174
+    # Over the middle of its reach, the tool down as at home.
+    tip = rig.tip_pose(rig.arm.home)
+    tip[:3, 3] = (front, 0.0, low)
+    flange = spatial.inverse(rig.arm.world_T_base) @ tip @ spatial.transform(None, np.array([0.0, 0.0, -tip_offset]))
+    home = arm.kinematics.inverse_branch(flange, WORK_BRANCH).tolist()
+    for name, value in {
+        "model": f'"{model}"', "home": home, "velocity_limit": [*arm.speed], "tip_offset": tip_offset,
+        "workspace_low": [-0.1, -arm.reach, 0.0], "workspace_high": [arm.reach, arm.reach, arm.reach],
+        "gripper_table": [[3, 0.085], [230, 0.0]], "max_opening": 0.085,
+    }.items():  # fmt: skip
+        text, count = re.subn(rf"(?m)^{name} = .*$", f"{name} = {value}", text, count=1)
+        assert count == 1, name
+    return text.replace('model = "2f-140"', 'model = "2f-85"')
+
+
+def sister(model: str) -> Rig:
+    """The rig of that file."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.toml"
+        path.write_text(sister_text(model), encoding="utf-8")
+        return load_rig(path)
+
+
+def rig_at(where: str, rig: Rig | None = None, **controller: object) -> Rig:
+    """The emulated rig, or that one, at that address; a busy machine gets more time than a lab would allow itself."""
+    rig = rig or load_rig(RIG_FILE)
     if rig.controller is None:
         raise LookupError("no [controller]")
     settings = {"freshness": 0.4, "lead": 0.06, "watchdog": 4.0} | controller
@@ -42,13 +74,17 @@ def rig_at(where: str, **controller: object) -> Rig:
 
 @contextmanager
 def emulated(
-    settings: ControllerSettings | None = None, gripper: EmulatedGripper | None = None, opening: float = 0.1
+    settings: ControllerSettings | None = None,
+    gripper: EmulatedGripper | None = None,
+    opening: float = 0.1,
+    rig: Rig | None = None,
 ) -> Iterator[Emulator]:
-    """A kinematic UR7e at the simulated rig's home, its gripper activated."""
-    arm = KinematicArm(np.array(load_rig(RIG_FILE).arm.home), opening)
-    controller = Controller(arm, settings)
+    """The kinematic arm of the emulated rig, or of that one, at its home, the gripper activated."""
+    rig = rig or load_rig(RIG_FILE)
+    arm = KinematicArm(rig.arm.home, opening)
+    controller = Controller(arm, settings or ControllerSettings(model=rig.arm.facts))
     controller.wire = []
-    with Emulator(controller, address(), gripper or EmulatedGripper(opening, activated=True)) as emulator:
+    with Emulator(controller, address(), gripper or EmulatedGripper(opening, True, rig.gripper.facts)) as emulator:
         yield emulator
 
 

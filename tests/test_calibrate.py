@@ -17,7 +17,7 @@ from calibration.rig_file import update_rig
 from calibration.shots import Shot, ShotFolder
 from perception.hues import apart
 from resync_robot import cli
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationRecord
 from resync_robot.core.errors import MotionError, RenderError
 from resync_robot.core.rig import Rig, load_rig
@@ -61,7 +61,7 @@ def stored(
         cam_T_board = synthetic.draw_pose(rng, tilt)
         world_T_flange = world_T_board @ spatial.inverse(true_flange_T_cam @ cam_T_board)
         try:
-            q = kinematics.inverse(spatial.inverse(rig.arm.world_T_base) @ world_T_flange, rig.arm.home)
+            q = rig.arm.kinematics.inverse(spatial.inverse(rig.arm.world_T_base) @ world_T_flange, rig.arm.home)
         except MotionError:
             continue
         name = f"wrist-{taken:03d}.png"

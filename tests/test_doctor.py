@@ -45,6 +45,18 @@ def test_what_fails_shows_its_mending_command_and_code_2(
     assert "-> its fields are" in shown
 
 
+def test_a_rig_in_the_wrong_unit_fails_with_the_likely_one(tmp_path: Path) -> None:
+    rig, text = tmp_path / "rig.toml", files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
+    rig.write_text(text.replace("max_opening = 0.14 ", "max_opening = 140"))
+    finding = doctor.check_rig(rig)
+    assert finding.status == "fail" and "max_opening is 140 m; allowed: 0.01 to 0.2 m" in finding.detail
+    assert finding.fix == "140 looks like mm: 0.14 m"
+    rig.write_text(text.replace('"sim-side"', '"sim-front"'))
+    assert doctor.check_rig(rig).status == "fail"
+    rig.write_text(text.replace('"sim-side"', '""').replace("max_force = 40.0", "max_force = 126"))
+    assert str(rig) in doctor.check_rig(rig).fix, "what has no likely unit has a next command all the same"
+
+
 def test_brackets_in_a_finding_are_shown_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
     doctor._show([Finding("robot", "warn", "[arm] is missing", "install '.[hardware]'")])
     shown = capsys.readouterr().out

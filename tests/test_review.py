@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import EpisodeError
@@ -64,7 +64,7 @@ def synthetic_episode(path, seconds: float = 4.0) -> None:
 
 def record_pictures(writer, rig, q, t) -> None:
     for camera in rig.cameras:
-        mount = rig.arm.world_T_base @ (kinematics.forward(q) if camera.mount == "flange" else np.eye(4))
+        mount = rig.arm.world_T_base @ (rig.arm.kinematics.forward(q) if camera.mount == "flange" else np.eye(4))
         pose = mount @ camera.pose if camera.mount == "flange" else camera.pose
         colour = np.full((camera.height, camera.width, 3), 90, np.uint8)
         depth = np.full((camera.height, camera.width), 6000, np.uint16)
@@ -147,7 +147,8 @@ def test_the_hand_is_where_kinematics_puts_it(columns, episode):
     rows = table(columns, "/world/robot/hand")
     drawn = [v[0] for v in rows["/world/robot/hand:Transform3D:translation"] if v]
     joints = list(read_episode(episode).joints())
-    start = load_rig().arm.world_T_base @ kinematics.forward(joints[0].measured)
+    arm = load_rig().arm
+    start = arm.world_T_base @ arm.kinematics.forward(joints[0].measured)
     np.testing.assert_allclose(drawn[0], start[:3, 3], atol=1e-6)
     assert len(drawn) == pytest.approx(len(joints) / 2, abs=2), "thinned to 25 Hz"
 
@@ -158,8 +159,8 @@ def test_links_reach_from_joint_to_joint(columns):
 
     from resync_robot.drawing import _capsule
 
-    q = load_rig().arm.home
-    frames = [np.eye(4), *kinematics.link_frames(q)]
+    arm = load_rig().arm
+    frames = [np.eye(4), *arm.kinematics.link_frames(arm.home)]
     for i in range(6):
         back = spatial.inverse(frames[i + 1]) @ frames[i]
         capsule = _capsule(back[:3, 3], 0.05)

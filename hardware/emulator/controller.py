@@ -17,7 +17,8 @@ from hardware.emulator.arm import Measured, PhysicsArm
 from hardware.emulator.judge import Judge
 from hardware.emulator.program import Command, ControlProgram
 from hardware.emulator.variables import Value
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
+from resync_robot.core.machines import ARMS, ArmModel
 
 _log = logging.getLogger(__name__)
 
@@ -88,7 +89,7 @@ class ControllerSettings:
 
     version: tuple[int, int, int, int] = (5, 22, 0, 0)
     """PolyScope 5.22 is the first that knows the UR7e."""
-    model: str = "UR7"
+    model: ArmModel = ARMS["ur7e"]
     serial: str = "20260700001"
     remote: bool = True
     """Remote control; in local control the machine refuses scripts and most dashboard commands."""
@@ -252,7 +253,7 @@ class Controller:
     def outputs(self) -> dict[str, Value]:
         """Every variable that has a value, as RTDE names it."""
         m = self._measured
-        flange = kinematics.forward(m.q)
+        flange = self.settings.model.kinematics.forward(m.q)
         base_R_world = self.settings.world_T_base[:3, :3].T
         force = base_R_world @ m.force
         pose = (*flange[:3, 3], *spatial.rotation_vector(flange[:3, :3]))

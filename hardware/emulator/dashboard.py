@@ -59,7 +59,7 @@ class DashboardClient(LineConversation):
         replies = {
             "polyscopeversion": "URSoftware {}.{}.{}.{} (Jan 01 2026)".format(*c.settings.version),
             "get serial number": c.settings.serial,
-            "get robot model": c.settings.model,
+            "get robot model": c.settings.model.polyscope,
             "is in remote control": str(c.remote).lower(),
             "robotmode": f"Robotmode: {c.robot_mode.name}",
             "safetymode": f"Safetymode: {c.safety_mode.name}",

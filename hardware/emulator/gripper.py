@@ -1,4 +1,4 @@
-"""A Robotiq 2F-140 behind the URCap's socket: registers by name, `GET` and `SET`.
+"""A Robotiq 2F-85 or 2F-140 behind the URCap's socket: registers by name, `GET` and `SET`.
 
 Positions are counts, and this unit, like every real one, does not use all of 0 to 255: it is open at 3 counts and
 closed at 230. Source: the manufacturer's register table and what clients expect of the URCap.
@@ -12,12 +12,9 @@ import numpy as np
 
 from hardware.base import SERVO_PERIOD
 from hardware.emulator.lines import LineConversation
+from resync_robot.core.machines import GRIPPERS, GripperModel
 
 OPEN_COUNT, CLOSED_COUNT = 3, 230
-WIDEST = 0.14
-"""m between the pads when open; the driver's table may say otherwise."""
-SLOWEST, FASTEST = 0.030, 0.250
-"""m/s of opening at SPE 0 and 255."""
 ACTIVATION_S = 0.6
 """A real one takes longer: it opens and closes once."""
 STUCK_S, STUCK_M = 0.06, 0.0015
@@ -29,13 +26,21 @@ SETTABLE = ("ACT", "GTO", "ATR", "ADR", "FOR", "SPE", "POS")
 class EmulatedGripper:
     """The unit itself.
 
+    Args:
+        opening: m between the pads; None for the whole stroke.
+        model: its stroke, which the driver's table may put otherwise, and its speeds at SPE 0 and 255.
+
     Attributes:
         registers: as the unit holds them; POS is measured, PRE the request's echo.
         silent: reads answer `?`, as under an emergency stop.
         fault: code of FLT.
     """
 
-    def __init__(self, opening: float = WIDEST, activated: bool = False) -> None:
+    def __init__(
+        self, opening: float | None = None, activated: bool = False, model: GripperModel = GRIPPERS["2f-140"]
+    ) -> None:
+        self.model = model
+        opening = model.stroke if opening is None else opening
         self.request = opening
         self.driven = opening
         self.measured = opening
@@ -46,18 +51,28 @@ class EmulatedGripper:
         self.object = 3
         self._activating = 0.0
         self._still = 0.0
-        self._pre = count_of(opening)
+        self._pre = self.count_of(opening)
 
     def lay_open(self, opening: float) -> None:
         """Stand open at `opening` (m), as in a new scene."""
         self.request = self.driven = self.measured = opening
-        self.object, self._pre = 3, count_of(opening)
+        self.object, self._pre = 3, self.count_of(opening)
+
+    def count_of(self, opening: float) -> int:
+        """Position counts of an opening in m."""
+        share = 1.0 - min(max(opening / self.model.stroke, 0.0), 1.0)
+        return round(OPEN_COUNT + share * (CLOSED_COUNT - OPEN_COUNT))
+
+    def opening_of(self, count: int) -> float:
+        """Opening in m at position counts."""
+        share = (min(max(count, OPEN_COUNT), CLOSED_COUNT) - OPEN_COUNT) / (CLOSED_COUNT - OPEN_COUNT)
+        return self.model.stroke * (1.0 - share)
 
     def set(self, name: str, value: int) -> None:
         value = min(max(value, 0), 255)
         if name == "POS":
             self._pre = value
-            self.request = opening_of(value)
+            self.request = self.opening_of(value)
             self.object, self._still = 0, 0.0
         else:
             self.registers[name] = value
@@ -69,7 +84,7 @@ class EmulatedGripper:
 
     def get(self, name: str) -> int | None:
         if name == "POS":
-            return count_of(self.measured)
+            return self.count_of(self.measured)
         status = {"PRE": self._pre, "OBJ": self.object, "STA": self.status, "FLT": self.fault}
         return status.get(name, self.registers.get(name))
 
@@ -82,7 +97,8 @@ class EmulatedGripper:
         if not (self.status == 3 and self.registers["GTO"]) or self.fault:
             self.driven = measured if self.fault else self.driven
             return self.driven
-        speed = SLOWEST + (FASTEST - SLOWEST) * self.registers["SPE"] / 255
+        least, most = self.model.speed
+        speed = least + (most - least) * self.registers["SPE"] / 255
         step = speed * SERVO_PERIOD
         self.driven += float(np.clip(self.request - self.driven, -step, step))
         away = measured - self.request
@@ -119,15 +135,3 @@ class GripperClient(LineConversation):
                 # No newline: that is how the real one answers, and known clients compare exactly.
                 return b"ack"
         return b"?\n"
-
-
-def count_of(opening: float) -> int:
-    """Position counts of an opening in m."""
-    share = 1.0 - min(max(opening / WIDEST, 0.0), 1.0)
-    return round(OPEN_COUNT + share * (CLOSED_COUNT - OPEN_COUNT))
-
-
-def opening_of(count: int) -> float:
-    """Opening in m at position counts."""
-    share = (min(max(count, OPEN_COUNT), CLOSED_COUNT) - OPEN_COUNT) / (CLOSED_COUNT - OPEN_COUNT)
-    return WIDEST * (1.0 - share)

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from hardware.base import SERVO_PERIOD
-from resync_robot.core import kinematics
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import ArmRig
 
@@ -32,6 +31,7 @@ class Judge:
     """
 
     def __init__(self, arm: ArmRig) -> None:
+        self._joint_limit = arm.kinematics.joint_limit
         self._rates = (
             ("velocity", arm.velocity_limit), ("acceleration", arm.acceleration_limit), ("jerk", arm.jerk_limit),
         )  # fmt: skip
@@ -48,7 +48,7 @@ class Judge:
         """Judge the next setpoint (rad)."""
         self.count += 1
         before = self.broken
-        self._look("position", q, kinematics.JOINT_LIMIT)
+        self._look("position", q, self._joint_limit)
         motion = np.concatenate([self._past, q[None]])
         self._past = motion[1:]
         for name, limit in self._rates:

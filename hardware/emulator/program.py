@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from hardware.base import SERVO_PERIOD
 from hardware.emulator.variables import Value
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.errors import MotionError
 
 if TYPE_CHECKING:
@@ -47,8 +47,8 @@ class Command(enum.IntEnum):
 
 REALTIME = (Command.SERVOJ, Command.SPEEDJ)
 READY, DONE = 1, 2
-FASTEST = np.pi
-"""rad/s of any joint."""
+FURTHEST = 2 * np.pi
+"""rad to either side of any joint, the elbow too: that it meets the upper arm is the client's to know."""
 ARGUMENTS = 8
 """Registers of numbers that a command may bring."""
 
@@ -126,7 +126,7 @@ class ControlProgram:
             self._halt(self._double(controller, 0))
         elif command == Command.MOVEJ:
             goal = self._six(controller)
-            if np.any(np.abs(goal) > kinematics.JOINT_LIMIT[0]):
+            if np.any(np.abs(goal) > FURTHEST):
                 controller.protective_stop()
                 return
             self._begin_move(controller, q, goal, self._double(controller, 6))
@@ -134,7 +134,7 @@ class ControlProgram:
         elif command == Command.MOVEL:
             pose = self._six(controller)
             try:
-                goal = kinematics.inverse(
+                goal = controller.settings.model.kinematics.inverse(
                     spatial.transform(spatial.rotation_from_vector(pose[3:]), pose[:3]), controller.commanded
                 )
             except MotionError:
@@ -150,7 +150,11 @@ class ControlProgram:
         elif command == Command.STOP_SCRIPT:
             self.ended = "the client ended it"
         elif command == Command.SET_PAYLOAD:
-            controller.payload = self._double(controller, 0)
+            mass, most = self._double(controller, 0), controller.settings.model.payload
+            if not 0.0 <= mass <= most:
+                self.ended = f"a payload of {mass:g} kg; the arm carries 0 to {most:g} kg"
+                return
+            controller.payload = mass
             controller.payload_cog = tuple(self._double(controller, i) for i in (1, 2, 3))
         elif command == Command.SET_TCP:
             controller.tcp = tuple(self._six(controller).tolist())
@@ -167,7 +171,7 @@ class ControlProgram:
         servo = self._command == Command.SERVOJ
         acceleration, hold = self._double(controller, 6), self._double(controller, 7)
         # What is not a number is not within a limit either.
-        if not (np.abs(six) <= (kinematics.JOINT_LIMIT[0] if servo else FASTEST)).all():
+        if not (np.abs(six) <= (FURTHEST if servo else controller.settings.model.speed)).all():
             controller.protective_stop()
             return
         if servo:

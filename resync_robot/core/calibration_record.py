@@ -8,7 +8,8 @@ from datetime import date
 from typing import Any
 
 from resync_robot.core.errors import ConfigError
-from resync_robot.core.tables import check_names, check_number
+from resync_robot.core.ranges import RANGES, read_number
+from resync_robot.core.tables import check_names, shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,30 +51,32 @@ def read_record(table: Any, where: str) -> CalibrationRecord:
     """The record of a `[cameras.calibration]` table.
 
     Raises:
-        ConfigError: a missing, extra or mistyped field.
+        ConfigError: a missing, extra, mistyped or implausible field.
     """
     check_names(table, CalibrationRecord, where, whole=True)
     for name in ("calibrated", "checked"):
         try:
             date.fromisoformat(table[name])
         except (TypeError, ValueError):
-            raise ConfigError(f'{where}: {name} must be a date such as "2026-01-31", not {table[name]!r}') from None
+            raise ConfigError(
+                f'{where}: {name} must be a date such as "2026-01-31", not {shown(table[name])}'
+            ) from None
     if not isinstance(table["method"], str):
-        raise ConfigError(f"{where}: method must be text, not {table['method']!r}")
-    for name in ("views", "left_out"):
-        if isinstance(table[name], bool) or not isinstance(table[name], int) or table[name] < 0:
-            raise ConfigError(f"{where}: {name} must be a whole number from 0 on, not {table[name]!r}")
-    for name in ("held_out_mm", "held_out_deg", "held_out_px"):
-        check_number(table[name], f"{where}: {name}")
-    return CalibrationRecord(**table)
+        raise ConfigError(f"{where}: method must be text, not {shown(table['method'])}")
+    read: dict[str, Any] = dict(table)
+    for name in ("views", "left_out", "held_out_mm", "held_out_deg", "held_out_px"):
+        allowed = RANGES[f"cameras.calibration.{name}"]
+        number = read_number(table[name], allowed, f"{where}: {name}")
+        read[name] = int(number) if allowed.whole else number
+    return CalibrationRecord(**read)
 
 
 def read_limits(table: Any, where: str) -> CalibrationLimits:
-    """The limits of a `[calibration_limits]` table. Raises ConfigError on an extra or mistyped field."""
+    """The limits of a `[calibration_limits]` table. Raises ConfigError as `read_record` does."""
     check_names(table, CalibrationLimits, where, whole=False)
-    for name, value in table.items():
-        check_number(value, f"{where}: {name}")
-    return CalibrationLimits(**table)
+    return CalibrationLimits(
+        **{n: read_number(v, RANGES[f"calibration_limits.{n}"], f"{where}: {n}") for n, v in table.items()}
+    )
 
 
 def complaints(

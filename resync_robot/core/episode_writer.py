@@ -23,11 +23,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from mcap.writer import CompressionType, Writer
 
-from resync_robot.core import kinematics, ros_messages
+from resync_robot.core import ros_messages
 from resync_robot.core.episode import FORMAT, POINT, EpisodeMeta, EventKind, Timing, plain
 from resync_robot.core.episode_schemas import SCHEMAS
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
+from resync_robot.core.machines import ARMS
 from resync_robot.core.mcap_file import CHUNK_BYTES
 from resync_robot.core.state import State
 from resync_robot.core.world import CameraFrame
@@ -74,8 +75,8 @@ class EpisodeWriter:
             ) from None
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="resync-robot")
-        self._began_ns = meta.began_ns
-        self._arm = meta.rig["arm"]["world_T_base"], meta.rig["gripper"]["tip_offset"]
+        self._began_ns, arm = meta.began_ns, meta.rig["arm"]
+        self._arm = arm["world_T_base"], meta.rig["gripper"]["tip_offset"], ARMS[arm["model"]].kinematics
         self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._thread.start()
@@ -302,7 +303,7 @@ class EpisodeWriter:
         self._write("/joint_commands", kind, time, ros_messages.joint_state(stamp, names, command, np.empty(0)))
         if not np.isfinite(q[:6]).all():
             return
-        world_T_base, tip_offset = np.asarray(self._arm[0]), self._arm[1]
+        world_T_base, tip_offset, kinematics = np.asarray(self._arm[0]), *self._arm[1:]
         frames = world_T_base @ kinematics.link_frames(q[:6])
         tip = frames[-1].copy()
         tip[:3, 3] += tip_offset * tip[:3, 2]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import ipaddress
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -15,11 +14,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationLimits, CalibrationRecord, read_limits, read_record
 from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.core.kinematics import Kinematics
+from resync_robot.core.machines import ARMS, GRIPPERS, ArmModel, GripperModel
+from resync_robot.core.ranges import RANGES, read_number
+from resync_robot.core.rig_checks import check_rig
+from resync_robot.core.rig_fields import read_field
 from resync_robot.core.sensor_noise import SensorNoise, read_noise
-from resync_robot.core.tables import check_names, check_number, finite, shown
+from resync_robot.core.tables import check_names, shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +37,15 @@ class ArmRig:
     acceleration_limit: np.ndarray
     jerk_limit: np.ndarray
 
+    @cached_property
+    def facts(self) -> ArmModel:
+        """What its maker says of the model."""
+        return ARMS[self.model]
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        return self.facts.kinematics
+
 
 @dataclass(frozen=True, kw_only=True)
 class GripperRig:
@@ -44,6 +57,11 @@ class GripperRig:
     max_force: float
     finger_thickness: float
     finger_width: float
+
+    @cached_property
+    def facts(self) -> GripperModel:
+        """What its maker says of the model."""
+        return GRIPPERS[self.model]
 
     @cached_property
     def flange_T_tip(self) -> np.ndarray:
@@ -143,11 +161,11 @@ class Rig:
 
     def tip_pose(self, q: Float[np.ndarray, "*b 6"]) -> Float[np.ndarray, "*b 4 4"]:
         """world_T_tip at (..., 6) joint positions in rad."""
-        return self.arm.world_T_base @ kinematics.forward(q) @ self.gripper.flange_T_tip
+        return self.arm.world_T_base @ self.arm.kinematics.forward(q) @ self.gripper.flange_T_tip
 
     def tip_jacobian(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6 6"]:
         """Linear over angular velocity of the tip in the world (m/s, rad/s), per rad/s of each joint."""
-        frames = self.arm.world_T_base @ kinematics.link_frames(q)
+        frames = self.arm.world_T_base @ self.arm.kinematics.link_frames(q)
         tip = (frames[-1] @ self.gripper.flange_T_tip)[:3, 3]
         before = np.concatenate([self.arm.world_T_base[None], frames[:-1]])
         (ax, ay, az), (x, y, z) = before[:, :3, 2].T, (tip - before[:, :3, 3]).T
@@ -162,7 +180,7 @@ class Rig:
         """world_T_cam of a camera of this rig, on the flange or in the world, at (6,) joint positions in rad."""
         if camera.mount == "world":
             return camera.pose
-        return self.arm.world_T_base @ kinematics.forward(q) @ camera.pose
+        return self.arm.world_T_base @ self.arm.kinematics.forward(q) @ camera.pose
 
     def camera(self, name: str) -> CameraRig:
         for camera in self.cameras:
@@ -171,36 +189,11 @@ class Rig:
         raise UnknownNameError("camera", name, [c.name for c in self.cameras], self.where)
 
 
-_VECTORS = {
-    "payload_centre": 3,
-    "workspace_low": 3,
-    "workspace_high": 3,
-    "world_T_base": 7,
-    "pose": 7,
-    "home": 6,
-    "velocity_limit": 6,
-    "acceleration_limit": 6,
-    "jerk_limit": 6,
-}
-_TEXT = ("address", "checkpoint", "vocabulary", "model", "name", "mount", "serial", "provenance")
-
-
-# What the UR7e's data sheet and the driver allow: kg, s, s, Hz, N.
-_RANGES = {
-    "payload": (0.0, 7.5),
-    "lead": (0.004, 0.2),
-    "freshness": (0.02, 0.5),
-    "watchdog": (2.0, 100.0),
-    "gripper_force": (0.0, 1.0),
-    "force_limit": (10.0, 500.0),
-}
-
-
 def load_rig(path: Path | None = None) -> Rig:
     """Read a rig file; without a path, the rig that the simulation assumes.
 
     Raises:
-        ConfigError: the file is missing, is no TOML, or has a missing, extra or mistyped field.
+        ConfigError: the file is missing, is no TOML, or has a missing, extra, mistyped or implausible field.
     """
     if path is None:
         text, where = files("resync_robot.core").joinpath("simulated_rig.toml").read_text(), "the built-in rig"
@@ -216,13 +209,13 @@ def load_rig(path: Path | None = None) -> Rig:
         # Also an integer of thousands of digits, which the parser does not take for its own error.
         raise ConfigError(f"{where} is no valid TOML: {error}") from None
 
-    def section(table: Any, kind: type, title: str, besides: tuple[str, ...] = ()) -> dict[str, Any]:
-        """The fields of the dataclass `kind`, but for those that are read elsewhere."""
+    def section(table: Any, kind: type, title: str, besides: tuple[str, ...] = (), name: str = "") -> dict[str, Any]:
+        """The fields of the dataclass `kind`, but for those that are read elsewhere; `name` of one that is a list."""
         if table is None:
             raise ConfigError(f"{where}: [{title}] is missing")
         check_names(table, kind, f"{where}: [{title}]", whole=True, besides=besides)
         return {
-            f.name: _field(table[f.name], f.name, f"{where}: [{title}] {f.name}")
+            f.name: read_field(table[f.name], f"{name or title}.{f.name}", f"{where}: [{title}] {f.name}")
             for f in fields(kind)
             if f.name in table
         }
@@ -234,7 +227,8 @@ def load_rig(path: Path | None = None) -> Rig:
                 record = read_record(table["calibration"], f"{where}: [{title}.calibration]")
             noise = read_noise(table.get("noise", {}), f"{where}: [{title}.noise]")
             table = {k: v for k, v in table.items() if k not in ("calibration", "noise")}
-        return CameraRig(**section(table, CameraRig, title, ("calibration", "noise")), calibration=record, noise=noise)
+        own = section(table, CameraRig, title, ("calibration", "noise"), "cameras")
+        return CameraRig(**own, calibration=record, noise=noise)
 
     def sam3(table: Any) -> Sam3Rig:
         prompts = table.get("prompts") if isinstance(table, Mapping) else None
@@ -247,9 +241,8 @@ def load_rig(path: Path | None = None) -> Rig:
         if not isinstance(table, Mapping):
             raise ConfigError(f"{where}: [hues] must be a table, not {shown(table)}", "write it as: b0 = 0.0")
         for name, value in table.items():
-            check_number(value, f"{where}: [hues] {name}")
-            if value >= 1:
-                raise ConfigError(f"{where}: [hues] {name} is {value:g}", "a hue is from 0 up to, not including, 1")
+            if read_number(value, RANGES["hues"], f"{where}: [hues] {name}") == 1:
+                raise ConfigError(f"{where}: [hues] {name} is 1", "a hue is from 0 up to, not including, 1")
         return {name: float(value) for name, value in table.items()}
 
     tables = ("arm", "gripper", "cameras", "calibration_limits", "controller", "hues", "sam3")
@@ -257,7 +250,7 @@ def load_rig(path: Path | None = None) -> Rig:
     cameras = data.get("cameras")
     if not isinstance(cameras, list) or not cameras:
         raise ConfigError(f"{where}: no [[cameras]]")
-    return Rig(
+    rig = Rig(
         name=top["name"],
         provenance=top["provenance"],
         arm=ArmRig(**section(data.get("arm"), ArmRig, "arm")),
@@ -272,63 +265,5 @@ def load_rig(path: Path | None = None) -> Rig:
         sam3=sam3(data["sam3"]) if "sam3" in data else None,
         where=where if path is None else f"the rig file {path}",
     )
-
-
-def _field(value: Any, name: str, where: str) -> Any:
-    if name in _TEXT:
-        if not isinstance(value, str):
-            raise ConfigError(f"{where} must be text, not {shown(value)}")
-        if name == "address":
-            try:
-                return str(ipaddress.IPv4Address(value))
-            except ValueError:
-                raise ConfigError(f"{where} is '{value}'", "give an IPv4 address such as 192.168.1.10") from None
-        if name == "mount" and value not in ("flange", "world"):
-            raise ConfigError(f"{where} is '{value}'", "allowed: flange, world")
-        return value
-    if name in _VECTORS:
-        numbers = isinstance(value, list) and all(finite(v) is not None for v in value)
-        if not numbers or len(value) != _VECTORS[name]:
-            raise ConfigError(f"{where} must be {_VECTORS[name]} numbers, not {shown(value)}")
-        vector = np.asarray(value, dtype=np.float64)
-        if _VECTORS[name] == 7:
-            norm = float(np.linalg.norm(vector[3:]))
-            if abs(norm - 1.0) > 1e-3:
-                raise ConfigError(f"{where}: the quaternion has norm {norm:.3f}, it must be 1 (w x y z)")
-            return spatial.pose_from_features(vector)
-        if name.endswith("_limit") and np.any(vector <= 0):
-            raise ConfigError(f"{where} must be positive")
-        return vector
-    if name == "gripper_table":
-        return _gripper_table(value, where)
-    if name in ("full_speed", "emulated"):
-        if not isinstance(value, bool):
-            raise ConfigError(f"{where} must be true or false, not {shown(value)}")
-        return value
-    number = finite(value)
-    if number is None:
-        raise ConfigError(f"{where} must be a number, not {shown(value)}")
-    if name in ("width", "height"):
-        if not number.is_integer() or number <= 0:
-            raise ConfigError(f"{where} must be a positive number of pixels, not {value!r}")
-        return int(number)
-    if number < 0:
-        raise ConfigError(f"{where} must not be negative")
-    if name in _RANGES and not _RANGES[name][0] <= number <= _RANGES[name][1]:
-        raise ConfigError(f"{where} is {value}", f"allowed: {_RANGES[name][0]} to {_RANGES[name][1]}")
-    return number
-
-
-def _gripper_table(value: Any, where: str) -> Float[np.ndarray, "n 2"]:
-    try:
-        table = np.array(value, dtype=np.float64).reshape(-1, 2)
-    except (OverflowError, TypeError, ValueError):
-        table = np.empty((0, 2))
-    counts, openings = table[:, 0], table[:, 1]
-    rising, falling = bool(np.all(np.diff(counts) > 0)), bool(np.all(np.diff(openings) < 0))
-    if len(table) < 2 or not (rising and falling and counts[0] >= 0 and counts[-1] <= 255 and openings[-1] >= 0):
-        raise ConfigError(
-            f"{where} must be pairs of counts that rise to 255 at most and openings in m that fall, not {shown(value)}",
-            "measure them: gripper_table = [[3, 0.14], [230, 0.0]]",
-        )
-    return table
+    check_rig(rig, where)
+    return rig

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from resync_robot.core.errors import ConfigError
-from resync_robot.core.tables import check_names, check_number
+from resync_robot.core.ranges import RANGES, read_number
+from resync_robot.core.tables import check_names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,15 +50,10 @@ class SensorNoise:
 
 
 def read_noise(table: Any, where: str) -> SensorNoise:
-    """The table as it stands in a rig file. Raises ConfigError on an extra or mistyped field, or a share above 1."""
+    """The table as it stands in a rig file. Raises ConfigError on an extra, mistyped or implausible field."""
     check_names(table, SensorNoise, where, whole=False)
-    for name, value in table.items():
-        check_number(value, f"{where}: {name}")
-        if name.endswith("_share") and value > 1:
-            raise ConfigError(f"{where}: {name} is {value:g}; a share is at most 1")
-        if name in ("focal_at_848_px", "baseline", "disparity_step_px") and value == 0:
-            raise ConfigError(f"{where}: {name} must be more than 0")
-    noise = SensorNoise(**{name: float(value) for name, value in table.items()})
+    numbers = {n: read_number(v, RANGES[f"cameras.noise.{n}"], f"{where}: {n}") for n, v in table.items()}
+    noise = SensorNoise(**numbers)
     if noise.flying_share + noise.edge_hole_share > 1:
         raise ConfigError(f"{where}: flying_share and edge_hole_share are parts of the same pixels; together at most 1")
     return noise

@@ -31,13 +31,6 @@ def check_names(table: Any, kind: type, where: str, whole: bool, besides: Sequen
         raise ConfigError(f"{where} has {' and '.join(parts)}", f"its fields are {', '.join(known)}")
 
 
-def check_number(value: Any, where: str) -> None:
-    """Raises ConfigError unless it is a finite number from 0 on."""
-    number = finite(value)
-    if number is None or number < 0:
-        raise ConfigError(f"{where} must be a number from 0 on, not {shown(value)}")
-
-
 def finite(value: Any) -> float | None:
     """The value of a file as a finite number, or None where it is none; an integer may be too long for one."""
     if isinstance(value, bool) or not isinstance(value, int | float):

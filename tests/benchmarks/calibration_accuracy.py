@@ -20,7 +20,6 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from calibration.hand_eye import Calibrator, difference
 from calibration.judge import held_out, judge
 from calibration.propose import Proposer, board_in_hand, board_on_table
-from resync_robot.core import kinematics
 from resync_robot.core.rig import load_rig
 from tests.calibration import synthetic
 
@@ -35,7 +34,7 @@ def proposed(arm_moves_board: bool, seed: int) -> list[np.ndarray]:
     board = board_in_hand(spec, rig) if arm_moves_board else board_on_table(spec, (0.48, 0.0))
     configurations = Proposer(rig, camera, spec, board)(30, seed)
     order = np.random.default_rng(seed).permutation(len(configurations))
-    return [rig.arm.world_T_base @ kinematics.forward(configurations[i]) for i in order]
+    return [rig.arm.world_T_base @ rig.arm.kinematics.forward(configurations[i]) for i in order]
 
 
 def main() -> None:

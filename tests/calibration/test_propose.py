@@ -10,7 +10,7 @@ import pytest
 from calibration.detect import project
 from calibration.propose import Proposer, Reach, apart, board_in_hand, board_on_table, with_board
 from hardware.room import Room
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import load_rig
 from tests.calibration.synthetic import SPEC
@@ -33,8 +33,8 @@ def test_proposed_poses_show_the_board_tilted_and_keep_clear(name: str) -> None:
     assert propose.clear(np.array(poses)).all()
     camera, seen = RIG.camera(name), []
     for q in poses:
-        assert (np.abs(q) <= kinematics.JOINT_LIMIT).all()
-        flange = RIG.arm.world_T_base @ kinematics.forward(q)
+        assert (np.abs(q) <= RIG.arm.kinematics.joint_limit).all()
+        flange = RIG.arm.world_T_base @ RIG.arm.kinematics.forward(q)
         world_T_cam = flange @ camera.pose if camera.mount == "flange" else camera.pose
         world_T_board = propose.board if camera.mount == "flange" else flange @ propose.board
         seen.append(spatial.inverse(world_T_cam) @ world_T_board)
@@ -74,7 +74,7 @@ def test_a_low_hand_and_a_folded_arm_are_not_clear() -> None:
     propose = proposer("wrist")
     down = spatial.transform(spatial.rotation_about("x", np.pi), np.array([0.5, 0.0, 0.25]))
     base_T_world = spatial.inverse(RIG.arm.world_T_base)
-    low = kinematics.inverse(base_T_world @ down, RIG.arm.home)
+    low = RIG.arm.kinematics.inverse(base_T_world @ down, RIG.arm.home)
     folded = np.array([0.0, -1.5, 2.9, -1.4, -1.57, 0.0])
     assert propose.clear(np.array([RIG.arm.home, low, folded])).tolist() == [True, False, False]
     assert propose.clear(np.zeros((0, 6))).shape == (0,)

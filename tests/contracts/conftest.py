@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -23,6 +24,9 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.world import CameraFrame
 from tests import emulators
+
+OPEN = 5 / 7
+"""Share of the gripper's widest opening at which it stands."""
 
 
 class KinematicPhysics:
@@ -63,6 +67,10 @@ class Backend:
     rig: Rig
     arm: KinematicArm
 
+    def share(self, share: float) -> float:
+        """m; that much of the widest opening."""
+        return share * self.rig.gripper.max_opening
+
 
 @contextmanager
 def sim() -> Iterator[Backend]:
@@ -74,11 +82,12 @@ def sim() -> Iterator[Backend]:
 
 
 @contextmanager
-def ur7e() -> Iterator[Backend]:
+def ur7e(rig: Rig | None = None) -> Iterator[Backend]:
     emulators.need_client()
-    with emulators.emulated() as emulator:
-        rig = emulators.rig_at(emulator.address)
-        gripper = Robotiq(emulator.address)
+    rig = rig or load_rig(emulators.RIG_FILE)
+    with emulators.emulated(opening=OPEN * rig.gripper.max_opening, rig=rig) as emulator:
+        rig = emulators.rig_at(emulator.address, rig)
+        gripper = Robotiq(emulator.address, rig.controller.gripper_table, model=rig.gripper.facts)
         arm = emulator.controller.arm
         assert isinstance(arm, KinematicArm)
         robot = Ur7e(rig, gripper)
@@ -108,10 +117,16 @@ def replay() -> Iterator[Backend]:
         yield Backend("replay", robot, robot.gripper, rig, arm)
 
 
-BACKENDS = {"sim": sim, "ur7e": ur7e, "replay": replay}
+SISTERS = ("ur3e", "ur5e", "ur10e", "ur16e")
+"""Each with a 2F-85; the UR12e is a UR10e."""
+BACKENDS = {"sim": sim, "ur7e": ur7e, "replay": replay} | {
+    model: partial(lambda model: ur7e(emulators.sister(model)), model) for model in SISTERS
+}
 
 
-@pytest.fixture(params=["sim", pytest.param("ur7e", marks=pytest.mark.realtime), "replay"])
+@pytest.fixture(
+    params=["sim", *(pytest.param(name, marks=pytest.mark.realtime) for name in ("ur7e", *SISTERS)), "replay"]
+)
 def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
     with BACKENDS[request.param]() as made:
         yield made

@@ -11,7 +11,7 @@ from hardware.base import SERVO_PERIOD, Robot, RobotError, SafetyError
 from hardware.safety import Guard
 from hardware.stream import Stream
 from resync_robot.core.joints import JointTarget
-from tests.contracts.conftest import Backend
+from tests.contracts.conftest import OPEN, Backend
 
 
 def hold(robot: Robot, q: np.ndarray, opening: float, seconds: float) -> None:
@@ -25,8 +25,8 @@ def test_a_state_is_whole_finite_and_stays_as_it_was(backend: Backend) -> None:
         assert (state.q.shape, state.qd.shape, state.tip_force.shape) == ((6,), (6,), (3,))
         assert np.isfinite([*state.q, *state.qd, *state.tip_force, state.opening, state.time]).all()
         np.testing.assert_allclose(state.q, backend.rig.arm.home, atol=1e-9)
-        assert state.opening == pytest.approx(0.1, abs=1e-3)
-        hold(robot, backend.rig.arm.home + 1e-3, 0.1, 0.2)
+        assert state.opening == pytest.approx(backend.share(OPEN), abs=1e-3)
+        hold(robot, backend.rig.arm.home + 1e-3, backend.share(OPEN), 0.2)
         np.testing.assert_allclose(state.q, backend.rig.arm.home, atol=1e-9)
         assert (robot.state().q != state.q).any()
 
@@ -36,7 +36,7 @@ def test_the_arm_follows_setpoints_and_holds_the_last(backend: Backend) -> None:
         stream = Stream(robot, backend.rig)
         goal = backend.rig.arm.home + np.array([0.1, 0.02, -0.03, 0.0, 0.05, -0.1])
         for _ in range(6):
-            stream.run(JointTarget(goal, 0.1), 0.1)
+            stream.run(JointTarget(goal, backend.share(OPEN)), 0.1)
         assert stream.settle(tolerance=1e-3, timeout=3.0)
         np.testing.assert_allclose(robot.state().q, goal, atol=1e-3)
         assert np.abs(robot.state().qd).max() < 0.02
@@ -45,7 +45,7 @@ def test_the_arm_follows_setpoints_and_holds_the_last(backend: Backend) -> None:
 def test_the_robots_clock_advances_with_setpoints(backend: Backend) -> None:
     with backend.robot as robot:
         before = robot.state()
-        hold(robot, before.q, 0.1, 0.5)
+        hold(robot, before.q, backend.share(OPEN), 0.5)
         after = robot.state().time
         # A robot in real time takes setpoints ahead of their time, and its clock runs between calls as well.
         assert 0.3 <= after - before.time <= 5.0
@@ -55,25 +55,25 @@ def test_setpoints_belong_to_the_caller(backend: Backend) -> None:
     with backend.robot as robot:
         q = robot.state().q
         for _ in range(50):
-            robot.servo(q, 0.1)
+            robot.servo(q, backend.share(OPEN))
             q[:] = backend.rig.arm.home
         np.testing.assert_allclose(robot.state().q, backend.rig.arm.home, atol=1e-6)
 
 
 def test_the_opening_follows(backend: Backend) -> None:
     with backend.robot as robot:
-        stream = Stream(robot, backend.rig)
+        stream, half = Stream(robot, backend.rig), backend.share(0.5)
         for _ in range(10):
-            stream.run(JointTarget(backend.rig.arm.home, 0.05), 0.1)
+            stream.run(JointTarget(backend.rig.arm.home, half), 0.1)
         deadline = time.monotonic() + 5.0
-        while abs(robot.state().opening - 0.05) > 2e-3 and time.monotonic() < deadline:
-            stream.run(JointTarget(backend.rig.arm.home, 0.05), 0.1)
-        assert robot.state().opening == pytest.approx(0.05, abs=2e-3)
+        while abs(robot.state().opening - half) > 2e-3 and time.monotonic() < deadline:
+            stream.run(JointTarget(backend.rig.arm.home, half), 0.1)
+        assert robot.state().opening == pytest.approx(half, abs=2e-3)
 
 
 def test_an_object_between_the_pads_is_detected_and_lost_again(backend: Backend) -> None:
     with backend.robot as robot:
-        backend.arm.object_width = 0.06
+        backend.arm.object_width = width = backend.share(0.4)
         stream = Stream(robot, backend.rig)
 
         def run_until(held: bool, opening: float) -> bool:
@@ -84,8 +84,8 @@ def test_an_object_between_the_pads_is_detected_and_lost_again(backend: Backend)
 
         assert not backend.gripper.state().object_detected
         assert run_until(True, 0.0)
-        assert robot.state().opening == pytest.approx(0.06, abs=2e-3)
-        assert run_until(False, 0.12)
+        assert robot.state().opening == pytest.approx(width, abs=2e-3)
+        assert run_until(False, backend.share(0.85))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 7.0], ids=["nan", "inf", "outside"])
@@ -95,11 +95,11 @@ def test_what_the_guard_refuses_never_reaches_the_arm(backend: Backend, bad: flo
         target = backend.rig.arm.home.copy()
         target[2] = bad
         with pytest.raises(SafetyError, match="elbow_joint"):
-            stream.run(JointTarget(target, 0.1), 0.1)
+            stream.run(JointTarget(target, backend.share(OPEN)), 0.1)
         with pytest.raises(SafetyError, match="shape"):
-            stream.run(JointTarget(np.zeros(5), 0.1), 0.1)
+            stream.run(JointTarget(np.zeros(5), backend.share(OPEN)), 0.1)
         with pytest.raises(SafetyError, match="jump"):
-            stream.run(JointTarget(backend.rig.arm.home + np.array([1.0, 0, 0, 0, 0, 0]), 0.1), 0.02)
+            stream.run(JointTarget(backend.rig.arm.home + np.array([1.0, 0, 0, 0, 0, 0]), backend.share(OPEN)), 0.02)
         time.sleep(0.05)
         np.testing.assert_allclose(robot.state().q, backend.rig.arm.home, atol=1e-6)
 
@@ -110,7 +110,7 @@ def test_unconnected_and_closed_robots_say_so(backend: Backend) -> None:
         with pytest.raises(RobotError, match="not connected"):
             robot.state()
         with pytest.raises(RobotError, match="not connected"):
-            robot.servo(backend.rig.arm.home, 0.1)
+            robot.servo(backend.rig.arm.home, backend.share(OPEN))
         with robot:
             robot.state()
         robot.close()
@@ -120,7 +120,7 @@ def test_a_second_connection_begins_where_the_arm_stands(backend: Backend) -> No
     with backend.robot as robot:
         stream = Stream(robot, backend.rig)
         for _ in range(4):
-            stream.run(JointTarget(backend.rig.arm.home + 0.05, 0.1), 0.1)
+            stream.run(JointTarget(backend.rig.arm.home + 0.05, backend.share(OPEN)), 0.1)
         stream.stop()
         stream.settle()
     with backend.robot as robot:

@@ -7,44 +7,51 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from resync_robot.core import kinematics
 from resync_robot.core.errors import MotionError
+from resync_robot.core.kinematics import BRANCHES, Kinematics
+from resync_robot.core.machines import ARMS
 from resync_robot.core.spatial import transform
 
 joints = arrays(np.float64, 6, elements=st.floats(-3.1, 3.1, allow_nan=False))
 
-# The manufacturer's table, typed a second time: a slip of the pen in one of the two shows.
-DH_TABLE = (  # d, a, alpha
-    (0.1625, 0.0, 90.0),
-    (0.0, -0.425, 0.0),
-    (0.0, -0.3922, 0.0),
-    (0.1333, 0.0, 90.0),
-    (0.0997, 0.0, -90.0),
-    (0.0996, 0.0, 0.0),
-)
+arms = st.sampled_from([arm.kinematics for arm in ARMS.values()])
+
+# The manufacturer's tables, typed a second time: a slip of the pen in one of the two shows. d1, a2, a3, d4, d5, d6.
+LENGTHS = {
+    "ur3e": (0.15185, -0.24355, -0.2132, 0.13105, 0.08535, 0.0921),
+    "ur5e": (0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996),
+    "ur7e": (0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996),
+    "ur10e": (0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655),
+    "ur12e": (0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655),
+    "ur16e": (0.1807, -0.4784, -0.36, 0.17415, 0.11985, 0.11655),
+}
+UR7E = ARMS["ur7e"].kinematics
 
 
-def product_of_table(q: np.ndarray) -> np.ndarray:
+def product_of_table(name: str, q: np.ndarray) -> np.ndarray:
+    d1, a2, a3, d4, d5, d6 = LENGTHS[name]
+    table = ((d1, 0, 90), (0, a2, 0), (0, a3, 0), (d4, 0, 90), (d5, 0, -90), (d6, 0, 0))
     pose = np.eye(4)
-    for angle, (d, a, alpha) in zip(q, DH_TABLE, strict=True):
+    for angle, (d, a, alpha) in zip(q, table, strict=True):
         turn = transform(Rotation.from_euler("z", angle).as_matrix(), np.array([0.0, 0.0, d]))
         twist = transform(Rotation.from_euler("x", alpha, degrees=True).as_matrix(), np.array([a, 0.0, 0.0]))
         pose = pose @ turn @ twist
     return pose
 
 
+@pytest.mark.parametrize("name", ARMS)
 @given(joints)
-def test_forward_is_the_product_of_the_table(q: np.ndarray) -> None:
-    np.testing.assert_allclose(kinematics.forward(q), product_of_table(q), atol=1e-12)
+def test_forward_is_the_product_of_the_table(name: str, q: np.ndarray) -> None:
+    np.testing.assert_allclose(ARMS[name].kinematics.forward(q), product_of_table(name, q), atol=1e-12)
 
 
-@given(joints)
-def test_the_last_link_frame_is_the_flange(q: np.ndarray) -> None:
+@given(arms, joints)
+def test_the_last_link_frame_is_the_flange(kinematics: Kinematics, q: np.ndarray) -> None:
     np.testing.assert_allclose(kinematics.link_frames(q)[-1], kinematics.forward(q), atol=1e-12)
 
 
-@given(arrays(np.float64, (3, 6), elements=st.floats(-3.1, 3.1, allow_nan=False)))
-def test_a_batch_is_its_members(q: np.ndarray) -> None:
+@given(arms, arrays(np.float64, (3, 6), elements=st.floats(-3.1, 3.1, allow_nan=False)))
+def test_a_batch_is_its_members(kinematics: Kinematics, q: np.ndarray) -> None:
     np.testing.assert_allclose(kinematics.forward(q)[1], kinematics.forward(q[1]), atol=1e-12)
 
 
@@ -52,16 +59,18 @@ def test_torch_gives_what_numpy_gives() -> None:
     import torch
 
     q = np.random.default_rng(0).uniform(-3, 3, (20, 6))
-    pose = kinematics.forward(torch.tensor(q), torch)
-    np.testing.assert_allclose(pose.numpy(), kinematics.forward(q), atol=1e-12)
-    for branch in kinematics.BRANCHES:
+    pose = UR7E.forward(torch.tensor(q), torch)
+    np.testing.assert_allclose(pose.numpy(), UR7E.forward(q), atol=1e-12)
+    for branch in BRANCHES:
         with np.errstate(invalid="ignore"):
-            expected = kinematics.inverse_branch(kinematics.forward(q), branch)
-        np.testing.assert_allclose(kinematics.inverse_branch(pose, branch, torch).numpy(), expected, atol=1e-6)
+            expected = UR7E.inverse_branch(UR7E.forward(q), branch)
+        np.testing.assert_allclose(UR7E.inverse_branch(pose, branch, torch).numpy(), expected, atol=1e-6)
 
 
-@given(joints, st.sampled_from(kinematics.BRANCHES))
-def test_every_branch_that_answers_reaches_the_pose(q: np.ndarray, branch: tuple[int, int, int]) -> None:
+@given(arms, joints, st.sampled_from(BRANCHES))
+def test_every_branch_that_answers_reaches_the_pose(
+    kinematics: Kinematics, q: np.ndarray, branch: tuple[int, int, int]
+) -> None:
     pose = kinematics.forward(q)
     with np.errstate(invalid="ignore"):
         solution = kinematics.inverse_branch(pose, branch)
@@ -69,8 +78,8 @@ def test_every_branch_that_answers_reaches_the_pose(q: np.ndarray, branch: tuple
         np.testing.assert_allclose(kinematics.forward(solution), pose, atol=1e-6)
 
 
-@given(joints)
-def test_inverse_reaches_the_pose_and_stays_at_its_seed(q: np.ndarray) -> None:
+@given(arms, joints)
+def test_inverse_reaches_the_pose_and_stays_at_its_seed(kinematics: Kinematics, q: np.ndarray) -> None:
     assume(abs(np.sin(q[4])) > 1e-3)  # else the next test
     pose = kinematics.forward(q)
     solution = kinematics.inverse(pose, seed=q)
@@ -79,9 +88,10 @@ def test_inverse_reaches_the_pose_and_stays_at_its_seed(q: np.ndarray) -> None:
     np.testing.assert_allclose(solution, q, atol=1e-3)
 
 
+@pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("wrist", [0.0, 1e-9, 1e-5, np.pi, -np.pi])
-def test_aligned_wrist_axes_are_solved_or_refused_never_missed(wrist: float) -> None:
-    solved = 0
+def test_aligned_wrist_axes_are_solved_or_refused_never_missed(wrist: float, name: str) -> None:
+    kinematics, solved = ARMS[name].kinematics, 0
     for q in np.random.default_rng(1).uniform(-3, 3, (100, 6)):
         q[4] = wrist
         pose = kinematics.forward(q)
@@ -94,7 +104,8 @@ def test_aligned_wrist_axes_are_solved_or_refused_never_missed(wrist: float) -> 
     assert solved >= 90
 
 
-def test_a_stretched_elbow_is_solved() -> None:
+@pytest.mark.parametrize("kinematics", [arm.kinematics for arm in ARMS.values()], ids=ARMS)
+def test_a_stretched_elbow_is_solved(kinematics: Kinematics) -> None:
     q = np.array([0.3, -1.2, 0.0, -0.4, 1.1, 0.2])
     pose = kinematics.forward(q)
     np.testing.assert_allclose(kinematics.forward(kinematics.inverse(pose, seed=q)), pose, atol=1e-6)
@@ -104,18 +115,18 @@ def test_a_stretched_elbow_is_solved() -> None:
 def test_out_of_reach_is_refused_with_the_place(position: tuple[float, float, float]) -> None:
     down = Rotation.from_euler("x", 180, degrees=True).as_matrix()
     with pytest.raises(MotionError, match=rf"{position[0]:.3f}, {position[1]:.3f}, {position[2]:.3f}"):
-        kinematics.inverse(transform(down, np.array(position)), seed=np.zeros(6))
+        UR7E.inverse(transform(down, np.array(position)), seed=np.zeros(6))
 
 
 def test_solutions_beyond_the_limits_are_refused() -> None:
     q = np.array([2.0, -1.5, 1.5, -1.5, -1.5, 0.5])
     tight = np.full(6, 0.1)
     with pytest.raises(MotionError):
-        kinematics.inverse(kinematics.forward(q), seed=q, limit=tight)
+        UR7E.inverse(UR7E.forward(q), seed=q, limit=tight)
 
 
-@given(joints, st.integers(-1, 1))
-def test_the_turn_of_the_seed_is_kept_where_the_limits_allow(q: np.ndarray, turns: int) -> None:
+@given(arms, joints, st.integers(-1, 1))
+def test_the_turn_of_the_seed_is_kept_where_the_limits_allow(kinematics: Kinematics, q: np.ndarray, turns: int) -> None:
     seed = q.copy()
     seed[5] += 2 * np.pi * turns
     assume(abs(np.sin(q[4])) > 1e-3 and abs(seed[5]) < 2 * np.pi - 0.01)

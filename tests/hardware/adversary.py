@@ -14,7 +14,6 @@ from hardware.clearance import Clearance
 from hardware.room import MARGIN
 from hardware.safety import Guard
 from hardware.stream import JUMP_SLACK, Stream
-from resync_robot.core import kinematics
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
@@ -78,7 +77,7 @@ def attack(stream: Stream, rig: Rig, kind: str, rng: np.random.Generator) -> str
     elif kind == "anywhere":
         arm = rng.uniform(-7, 7, 6)
     elif kind == "edge":
-        arm[joint] = rng.choice([-1, 1]) * np.nextafter(kinematics.JOINT_LIMIT[joint], rng.choice([-9.0, 9.0]))
+        arm[joint] = rng.choice([-1, 1]) * np.nextafter(rig.arm.kinematics.joint_limit[joint], rng.choice([-9.0, 9.0]))
     elif kind == "folded":
         arm[2], arm[4] = rng.choice([3.0, arm[2]]), rng.choice([-3.0, 3.0])
     elif kind == "opening":
@@ -109,7 +108,7 @@ def assert_nothing_out_of_limits(sent: Sequence[np.ndarray], rig: Rig, start: np
     """Every setpoint, with the arm at rest at `start`, or home, before the first: limits, workspace, room."""
     wire = np.array(sent)
     assert wire.shape == (len(sent), 6) and np.isfinite(wire).all()
-    assert (np.abs(wire) <= kinematics.JOINT_LIMIT).all()
+    assert (np.abs(wire) <= rig.arm.kinematics.joint_limit).all()
     assert_rates_hold(np.concatenate([[rig.arm.home if start is None else start] * 3, wire]), rig)
     clearance = Clearance(rig)
     for part in np.array_split(wire, max(1, len(wire) // 2000)):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hardware.clearance import FOREARM_OFFSET, NAMES, Clearance, Gap, Obstacle, _distance
-from resync_robot.core import kinematics, spatial
+from hardware.clearance import NAMES, Clearance, Gap, Obstacle, _distance
+from resync_robot.core import spatial
+from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import Rig, load_rig
 
 RIG = load_rig()
@@ -21,10 +24,20 @@ def smallest(q: np.ndarray, clearance: Clearance = CLEARANCE) -> Gap:
     return clearance.smallest(clearance.frames(np.atleast_2d(q)))
 
 
+@pytest.mark.parametrize("model", ARMS)
 @given(ANGLES)
-def test_frames_are_those_of_the_kinematics(q: np.ndarray) -> None:
-    frames = CLEARANCE.frames(q[None])[0]
-    np.testing.assert_allclose(frames[1:], RIG.arm.world_T_base @ kinematics.link_frames(q), atol=1e-12)
+def test_frames_are_those_of_the_kinematics(model: str, q: np.ndarray) -> None:
+    arm = replace(RIG.arm, model=model)
+    frames = Clearance(replace(RIG, arm=arm)).frames(q[None])[0]
+    np.testing.assert_allclose(frames[1:], arm.world_T_base @ arm.kinematics.link_frames(q), atol=1e-12)
+
+
+@pytest.mark.parametrize("model", ARMS)
+def test_no_arm_meets_itself_at_a_home_like_this_one(model: str) -> None:
+    """A radius or an offset of another arm's would show: upright, and with the tool down, there is room."""
+    clearance = Clearance(replace(RIG, arm=replace(RIG.arm, model=model)), table_z=-1.0)
+    assert smallest(RIG.arm.home, clearance).distance > 0.02
+    assert smallest(np.array([0.0, -np.pi / 2, 0.0, -np.pi / 2, -np.pi / 2, 0.0]), clearance).distance > 0.02
 
 
 @given(arrays(float, (2, 2, 3), elements=st.floats(-1, 1)))
@@ -93,7 +106,7 @@ def test_poses_that_cannot_be_are_negative_gaps(q: tuple[float, ...], parts: set
 
 def test_an_obstacle_is_measured_to_its_faces(rig: Rig) -> None:
     """A ceiling, turned about the vertical, 20 mm above the far end of the forearm: the highest part at home."""
-    end = CLEARANCE.frames(rig.arm.home[None])[0, 3] @ np.array([0, 0, FOREARM_OFFSET, 1.0])
+    end = CLEARANCE.frames(rig.arm.home[None])[0, 3] @ np.array([0, 0, RIG.arm.facts.shape.elbow, 1.0])
     ceiling = spatial.transform(spatial.rotation_about("z", 0.6), end[:3] + np.array([0.1, 0, 0.050 + 0.020 + 0.5]))
     clearance = Clearance(rig)
     clearance.obstacles = (Obstacle("ceiling", ceiling, np.array([2.0, 2.0, 0.5])),)

@@ -8,6 +8,7 @@ import pytest
 
 from hardware.base import RobotError
 from hardware.dashboard import Dashboard
+from resync_robot.core.machines import ARMS
 from tests import emulators
 
 
@@ -15,6 +16,18 @@ def test_a_ready_robot_is_ready() -> None:
     with emulators.emulated() as machine, Dashboard(machine.address) as dashboard:
         dashboard.require_ready()
         assert (dashboard.mode(), dashboard.safety()) == ("RUNNING", "NORMAL")
+
+
+def test_the_arm_must_have_the_lengths_that_the_rig_says() -> None:
+    """A UR7e is a UR5e in that; a name that is not known proves nothing."""
+    with emulators.emulated() as machine, Dashboard(machine.address) as dashboard:
+        for name in ("ur7e", "ur5e"):
+            dashboard.require_arm(ARMS[name])
+        for name in ("ur3e", "ur10e", "ur16e"):
+            with pytest.raises(RobotError, match=rf"is a UR7, the rig file says {ARMS[name].title}\n.*\"ur7e\""):
+                dashboard.require_arm(ARMS[name])
+    with emulators.stranger(b"UR99\n") as port, Dashboard("127.0.0.1", port, timeout=0.5) as dashboard:
+        dashboard.require_arm(ARMS["ur3e"])
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,9 @@ import hardware
 from hardware.base import SERVO_PERIOD, SafetyError
 from hardware.clearance import Obstacle
 from hardware.room import heights
-from hardware.safety import FIRST_RUN_SPEED, MAX_GRIPPER_SPEED, Guard
+from hardware.safety import FIRST_RUN_SPEED, Guard
 from hardware.stream import FIRST_RUN_PACE, PACE_MARGIN, Stream
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import load_rig
 from tests.emulators import RIG_FILE
@@ -69,14 +69,14 @@ def test_wrong_length_of_block(guard, robot, shape):
 
 
 @pytest.mark.parametrize("joint", range(6))
-def test_position_limit_of_each_joint(guard, joint):
+def test_position_limit_of_each_joint(guard, rig, joint):
     target = np.array([0.0, -1.5, 0.5, 0.0, 0.0, 0.0])
-    target[joint] = kinematics.JOINT_LIMIT[joint] + 0.01
+    target[joint] = rig.arm.kinematics.joint_limit[joint] + 0.01
     with pytest.raises(SafetyError) as caught:
         guard.check_target(target, 0.1)
     error = caught.value
     assert (error.quantity, error.joint) == ("position", ARM_JOINTS[joint])
-    assert error.value == pytest.approx(target[joint]) and error.limit == kinematics.JOINT_LIMIT[joint]
+    assert error.value == pytest.approx(target[joint]) and error.limit == rig.arm.kinematics.joint_limit[joint]
 
 
 def test_jump_against_the_last_sent_setpoint(guard, robot):
@@ -124,13 +124,13 @@ def test_opening_range_and_speed(guard, rig):
         assert caught.value.quantity == "opening"
     setpoints, openings = hold(guard)
     with pytest.raises(SafetyError) as caught:
-        guard.send(setpoints, openings - 2 * MAX_GRIPPER_SPEED * SERVO_PERIOD)
+        guard.send(setpoints, openings - 2 * rig.gripper.facts.speed[1] * SERVO_PERIOD)
     assert caught.value.quantity == "opening speed"
 
 
 def test_floor(guard, rig):
     below = spatial.transform(spatial.rotation_about("x", np.pi), np.array([-0.45, 0.0, rig.gripper.tip_offset - 0.05]))
-    q = kinematics.inverse(below, rig.arm.home)
+    q = rig.arm.kinematics.inverse(below, rig.arm.home)
     with pytest.raises(SafetyError) as caught:
         guard.check_target(q, 0.1)
     assert (caught.value.quantity, caught.value.joint) == ("floor", "tip")
@@ -142,9 +142,10 @@ def test_floor(guard, rig):
 @FEW
 def test_heights_agree_with_forward_kinematics(q, tilt):
     world_T_base = spatial.transform(spatial.rotation_from_vector(tilt), np.array([0.1, -0.2, 0.3]))
-    flange = world_T_base @ kinematics.forward(q)
+    arm = CONFIRMED.arm.kinematics
+    flange = world_T_base @ arm.forward(q)
     tip = flange @ spatial.transform(None, np.array([0, 0, 0.235]))
-    got = heights(q, world_T_base[2], 0.235)
+    got = heights(arm, q, world_T_base[2], 0.235)
     np.testing.assert_allclose(got, (flange[:, 2, 3], tip[:, 2, 3]), atol=1e-9)
 
 
@@ -171,7 +172,9 @@ def test_whatever_is_asked_what_is_sent_obeys_the_limits(perfect_robot, rig, blo
     for limit in (rig.arm.velocity_limit, rig.arm.acceleration_limit, rig.arm.jerk_limit):
         sent = np.diff(sent, axis=0) / SERVO_PERIOD
         assert (np.abs(sent) <= limit * (1 + 1e-5)).all()
-    assert (np.abs(np.diff(robot.openings, prepend=0.1)) <= MAX_GRIPPER_SPEED * SERVO_PERIOD * (1 + 1e-5)).all()
+    assert (
+        np.abs(np.diff(robot.openings, prepend=0.1)) <= rig.gripper.facts.speed[1] * SERVO_PERIOD * (1 + 1e-5)
+    ).all()
 
 
 def test_a_robot_measured_outside_its_limits_is_not_started(perfect_robot, rig):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -180,6 +182,14 @@ def test_a_senseless_effort_limit(stream, robot, limit):
     with pytest.raises(MotionError, match="six positive"):
         stream.limit_effort(limit)
     assert robot.sent == []
+
+
+def test_a_gripper_speed_is_within_what_the_gripper_of_the_rig_can(robot, rig):
+    small = replace(rig, gripper=replace(rig.gripper, model="2f-85"))
+    Stream(robot, rig, gripper_speed=0.2)
+    with pytest.raises(MotionError, match=r"0\.2 m/s; allowed: 0\.02 to 0\.15 m/s"):
+        Stream(robot, small, gripper_speed=0.2)
+    Stream(robot, small, gripper_speed=0.025)
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.3, np.nan])

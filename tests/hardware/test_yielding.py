@@ -16,9 +16,9 @@ from hardware.room import Room
 from hardware.safety import FIRST_RUN_SPEED
 from hardware.stream import PRESSING_SPEED
 from hardware.yielding import FURTHEST, Yielding
-from resync_robot.core import kinematics, spatial
-from resync_robot.core.rig import load_rig
-from tests.emulators import RIG_FILE
+from resync_robot.core import spatial
+from resync_robot.core.rig import Rig, load_rig
+from tests.emulators import RIG_FILE, sister
 from tests.hardware.adversary import assert_nothing_out_of_limits
 
 RIG = load_rig(RIG_FILE)
@@ -27,41 +27,41 @@ TOUCH, AHEAD = 0.02, 0.035
 """m below home where the springs begin, and how far below that the hand is sent."""
 
 
-def lowered(depths: np.ndarray) -> np.ndarray:
+def lowered(depths: np.ndarray, rig: Rig = RIG) -> np.ndarray:
     """(n, 6) configurations with the tip so many m below home."""
-    branch, q, path = kinematics.branch_of(RIG.arm.home), RIG.arm.home, []
-    base_T_world, tip_T_flange = spatial.inverse(RIG.arm.world_T_base), spatial.inverse(RIG.gripper.flange_T_tip)
+    branch, q, path = rig.arm.kinematics.branch_of(rig.arm.home), rig.arm.home, []
+    base_T_world, tip_T_flange = spatial.inverse(rig.arm.world_T_base), spatial.inverse(rig.gripper.flange_T_tip)
     for depth in depths:
-        tip = RIG.tip_pose(RIG.arm.home)
+        tip = rig.tip_pose(rig.arm.home)
         tip[2, 3] -= depth
-        q = kinematics.inverse_along(base_T_world @ tip @ tip_T_flange, q, branch)
+        q = rig.arm.kinematics.inverse_along(base_T_world @ tip @ tip_T_flange, q, branch)
         path.append(q)
     return np.array(path)
 
 
-def down_and_up(speed: float, hold: float = 2.5) -> np.ndarray:
+def down_and_up(speed: float, hold: float = 2.5, rig: Rig = RIG) -> np.ndarray:
     """The path of a press into the springs at `speed` m/s at the most, `hold` s of it, and the way back."""
     way = TOUCH + AHEAD
     ticks = int(np.pi / 2 * way / speed / SERVO_PERIOD)
     down = way * (1 - np.cos(np.pi * np.arange(1, ticks + 1) / ticks)) / 2
-    return lowered(np.concatenate([down, np.full(int(hold / SERVO_PERIOD), way), down[::-1], np.zeros(1500)]))
+    return lowered(np.concatenate([down, np.full(int(hold / SERVO_PERIOD), way), down[::-1], np.zeros(1500)]), rig)
 
 
 def press(
-    path: np.ndarray, stiffness: float, delay: float, limited: bool = True
+    path: np.ndarray, stiffness: float, delay: float, limited: bool = True, rig: Rig = RIG
 ) -> tuple[np.ndarray, np.ndarray, Yielding]:
     """Setpoints sent, and the springs' force, N, at every tick. The arm lags by 10 ms; the force is noisy and late."""
     rng = np.random.default_rng(0)
     bias = np.array([3.0, -20.0, 15.0, 0.3, 0.2, 0.0])
-    arm = Yielding(RIG, Room(RIG), LIMIT if limited else np.full(6, np.inf), RIG.arm.home, bias)
-    actual, sent, forces = RIG.arm.home.copy(), [], []
-    surface = RIG.tip_pose(RIG.arm.home)[2, 3] - TOUCH
+    arm = Yielding(rig, Room(rig), LIMIT if limited else np.full(6, np.inf), rig.arm.home, bias)
+    actual, sent, forces = rig.arm.home.copy(), [], []
+    surface = rig.tip_pose(rig.arm.home)[2, 3] - TOUCH
     on_the_way = [np.zeros(6)] * round(delay / SERVO_PERIOD)
     for q in path:
         noise = rng.normal(0.0, [2.0, 2.0, 2.0, 0.1, 0.1, 0.1])
         sent.append(arm.follow(q, actual, bias + on_the_way[0] + noise))
         actual = actual + (1 - np.exp(-SERVO_PERIOD / 0.01)) * (sent[-1] - actual)
-        force = stiffness * max(0.0, surface - RIG.tip_pose(actual)[2, 3])
+        force = stiffness * max(0.0, surface - rig.tip_pose(actual)[2, 3])
         on_the_way = [*on_the_way[1:], np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])]
         forces.append(force)
     return np.array(sent), np.array(forces), arm
@@ -82,6 +82,19 @@ def test_a_press_settles_at_the_limit_without_chatter(stiffness: float, delay: f
     # Once away from the springs it is where it is sent again.
     np.testing.assert_allclose(sent[-1], path[-1], atol=2e-3)
     assert force[-1] == 0.0
+
+
+@pytest.mark.parametrize("model", ["ur3e", "ur5e", "ur10e", "ur16e"])
+def test_a_longer_or_shorter_arm_settles_as_well(model: str) -> None:
+    rig = sister(model)
+    path = down_and_up(0.8 * PRESSING_SPEED, rig=rig)
+    sent, force, _ = press(path, 1e5, 0.008, rig=rig)
+    assert_nothing_out_of_limits(list(sent), rig)
+    held = force[int(np.argmax(force > 0)) + 750 :][:500]
+    allowed = (LIMIT[1:5] / np.abs(rig.tip_jacobian(path[len(path) // 3])[2, 1:5])).min()
+    assert held.mean() == pytest.approx(allowed, rel=0.15)
+    assert held.std() < 0.03 * allowed
+    np.testing.assert_allclose(sent[-1], path[-1], atol=2e-3)
 
 
 def test_without_a_limit_the_same_press_is_many_times_as_hard() -> None:

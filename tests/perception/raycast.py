@@ -9,7 +9,7 @@ import numpy as np
 
 from perception.catalogue import CABINET, Catalogue
 from perception.scan import Scan
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
 
@@ -81,7 +81,7 @@ class Table:
     def picture(self, q: np.ndarray) -> CameraFrame:
         camera = self._rig.camera("wrist")
         k = camera.intrinsics
-        pose = self._rig.arm.world_T_base @ kinematics.forward(q) @ camera.pose
+        pose = self._rig.arm.world_T_base @ self._rig.arm.kinematics.forward(q) @ camera.pose
         u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
         rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], -1).reshape(-1, 3)
         world_rays, origin = rays @ pose[:3, :3].T, pose[:3, 3]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from perception.catalogue import Catalogue
 from perception.objects import SceneEstimate, SceneEstimator, catalogue_of
 from perception.scan import Scan
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
@@ -102,7 +102,7 @@ def test_a_block_that_lies_on_its_side_is_not_upright(rig: Rig, catalogue: Catal
 def test_a_block_in_the_hand_is_not_taken_for_one_on_the_table(rig: Rig, catalogue: Catalogue) -> None:
     scan, frames = Scan(rig), []
     for q in scan.configurations:
-        tip = rig.arm.world_T_base @ kinematics.forward(q) @ rig.gripper.flange_T_tip
+        tip = rig.arm.world_T_base @ rig.arm.kinematics.forward(q) @ rig.gripper.flange_T_tip
         table = Table(rig, catalogue)
         table.block("b1", 0.47, 0.03, FLOOR, 0.2, 0.056, 0.043)
         table.block("b0", tip[0, 3], tip[1, 3], tip[2, 3] - 0.02, 0.0, 0.060, 0.045)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from perception.scan import BOX_AND_SIDES, LEAST_TIP_HEIGHT, Scan, Viewpoint
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.errors import MotionError, PerceptionError
 from resync_robot.core.rig import Rig
 
@@ -14,7 +14,7 @@ from resync_robot.core.rig import Rig
 def test_configurations_put_the_camera_where_the_viewpoints_say(rig: Rig) -> None:
     camera = rig.camera("wrist")
     for view, q in zip(BOX_AND_SIDES, Scan(rig).configurations, strict=True):
-        flange = rig.arm.world_T_base @ kinematics.forward(q)
+        flange = rig.arm.world_T_base @ rig.arm.kinematics.forward(q)
         assert np.allclose((flange @ camera.pose)[:2, 3], view.camera_xy, atol=1e-6)
         tip = flange @ rig.gripper.flange_T_tip
         assert tip[2, 3] == pytest.approx(view.tip_height, abs=1e-6)
@@ -24,14 +24,14 @@ def test_configurations_put_the_camera_where_the_viewpoints_say(rig: Rig) -> Non
 def test_the_arm_stays_above_the_walls_and_moves_little(rig: Rig) -> None:
     scan = Scan(rig)
     for q in scan.configurations:
-        assert np.all(np.abs(q) <= kinematics.JOINT_LIMIT)
-        heights = (rig.arm.world_T_base @ kinematics.link_frames(q))[:, 2, 3]
+        assert np.all(np.abs(q) <= rig.arm.kinematics.joint_limit)
+        heights = (rig.arm.world_T_base @ rig.arm.kinematics.link_frames(q))[:, 2, 3]
         assert heights.min() > LEAST_TIP_HEIGHT / 2
     last = rig.arm.home
     for q in scan.configurations:
         # Between two views the straight way in joint space keeps the tips above the walls.
         for s in np.linspace(0, 1, 9):
-            tip = rig.arm.world_T_base @ kinematics.forward(last + s * (q - last)) @ rig.gripper.flange_T_tip
+            tip = rig.arm.world_T_base @ rig.arm.kinematics.forward(last + s * (q - last)) @ rig.gripper.flange_T_tip
             assert tip[2, 3] > 0.2
         assert np.abs(q - last).max() < 2.3
         last = q
@@ -46,7 +46,7 @@ def test_every_place_of_a_block_is_in_three_pictures(rig: Rig) -> None:
     points = np.column_stack([x[keep], y[keep], np.full(keep.sum(), 0.05)])
     seen = np.zeros(len(points), dtype=int)
     for q in Scan(rig).configurations:
-        pose = rig.arm.world_T_base @ kinematics.forward(q) @ camera.pose
+        pose = rig.arm.world_T_base @ rig.arm.kinematics.forward(q) @ camera.pose
         local = spatial.apply(spatial.inverse(pose), points)
         u = camera.fx * local[:, 0] / local[:, 2] + camera.cx
         v = camera.fy * local[:, 1] / local[:, 2] + camera.cy
@@ -80,7 +80,7 @@ def test_a_second_look_has_the_place_in_the_middle_of_the_picture(rig: Rig, plac
     assert len(configurations) == 2
     directions = []
     for q in configurations:
-        flange = rig.arm.world_T_base @ kinematics.forward(q)
+        flange = rig.arm.world_T_base @ rig.arm.kinematics.forward(q)
         assert (flange @ rig.gripper.flange_T_tip)[2, 3] >= LEAST_TIP_HEIGHT
         pose = flange @ camera.pose
         local = spatial.apply(spatial.inverse(pose), np.array([[*place, 0.0]]))[0]

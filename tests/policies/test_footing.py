@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from policies.cartesian import GIVE_IN_STEP, Hand
 from policies.footing import ABOVE, BENEATH, LET_GO_RISE, PRESSED, RISE, RISE_STEPS, Footing, press_on
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.learning.recovery_policy import STUD
 from tests import scenes
@@ -40,6 +40,7 @@ class Top(Follower):
         self.longest = max(self.longest, self.dragged)
         tip[2, 3] = max(tip[2, 3], FLOOR + self.steep * self.dragged)
         flange = spatial.inverse(self.rig.arm.world_T_base) @ tip @ spatial.inverse(self.rig.gripper.flange_T_tip)
+        kinematics = self.rig.arm.kinematics
         arm = kinematics.inverse_along(flange, self.arm, kinematics.branch_of(self.arm))
         super().act(JointTarget(arm, target.opening), duration)
 

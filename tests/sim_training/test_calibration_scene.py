@@ -7,7 +7,7 @@ import pytest
 
 from calibration.detect import BoardDetector, Sighting, project
 from calibration.propose import Proposer, board_in_hand, board_on_table
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.errors import RenderError
 from resync_robot.core.rig import load_rig
 from sim_training.calibration_scene import CalibrationWorld, Poster, displaced, empty_task
@@ -34,7 +34,7 @@ def test_corners_are_rendered_where_the_geometry_puts_them(name: str) -> None:
         scene.built.set_configuration(q, 0.004)
         found = BoardDetector(SPEC, camera.intrinsics)(scene.render(name).colour)
         assert isinstance(found, Sighting)
-        flange = RIG.arm.world_T_base @ kinematics.forward(q)
+        flange = RIG.arm.world_T_base @ RIG.arm.kinematics.forward(q)
         world_T_cam = camera.pose if held else flange @ camera.pose
         cam_T_board = spatial.inverse(world_T_cam) @ (flange @ board if held else board)
         misses = found.corners.px - project(camera.intrinsics, cam_T_board, SPEC.corners[found.corners.ids])

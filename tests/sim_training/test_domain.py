@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from policies.cartesian import Hand
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
@@ -56,7 +56,7 @@ def cornered(state: State) -> set[str]:
 def tip_is_reached(tip: np.ndarray, yaw: float) -> bool:
     pose = spatial.transform(Hand.rotation(yaw), tip)
     flange = spatial.inverse(RIG.arm.world_T_base) @ pose @ spatial.inverse(RIG.gripper.flange_T_tip)
-    return bool(np.all(np.isfinite(kinematics.inverse(flange, RIG.arm.home))))
+    return bool(np.all(np.isfinite(RIG.arm.kinematics.inverse(flange, RIG.arm.home))))
 
 
 @settings(max_examples=60)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from resync_robot.core import kinematics, spatial
-from resync_robot.core.errors import RenderError, UnknownNameError
+from resync_robot.core import spatial
+from resync_robot.core.errors import ConfigError, RenderError, UnknownNameError
+from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import load_rig
 from sim_training.scene import BuiltScene, build_scene
 from sim_training.world import SimWorld
@@ -30,6 +33,18 @@ def rendered() -> SimWorld:
         pytest.skip(f"no Vulkan device: {error.what}")
 
 
+@pytest.mark.parametrize("model", ["ur3e", "ur10e", "ur12e", "ur16e"])
+def test_an_arm_that_is_not_described_is_not_simulated(model: str) -> None:
+    with pytest.raises(ConfigError, match=rf"{ARMS[model].title} with a 2F-140.*allowed: ur5e or ur7e with 2f-140"):
+        SimWorld(TASK, replace(RIG, arm=replace(RIG.arm, model=model)))
+
+
+def test_another_gripper_is_not_simulated_and_a_ur5e_is() -> None:
+    with pytest.raises(ConfigError, match=r"UR7e with a 2F-85.*(\n.*)*--backend ur7e"):
+        SimWorld(TASK, replace(RIG, gripper=replace(RIG.gripper, model="2f-85")))
+    SimWorld(TASK, replace(RIG, arm=replace(RIG.arm, model="ur5e")))
+
+
 def configurations(count: int) -> list[np.ndarray]:
     rng = np.random.default_rng(0)
     return [rng.uniform(-3.0, 3.0, 6) for _ in range(count)]
@@ -39,13 +54,13 @@ def configurations(count: int) -> list[np.ndarray]:
 def test_the_flange_is_where_the_kinematics_put_it(built: BuiltScene, q: np.ndarray) -> None:
     built.set_configuration(q, 0.1)
     world_T_flange = built.flange.entity_pose.to_transformation_matrix()
-    np.testing.assert_allclose(world_T_flange, RIG.arm.world_T_base @ kinematics.forward(q), atol=2e-5)
+    np.testing.assert_allclose(world_T_flange, RIG.arm.world_T_base @ RIG.arm.kinematics.forward(q), atol=2e-5)
 
 
 def test_each_joint_turns_about_the_axis_of_its_frame(built: BuiltScene) -> None:
     rng = np.random.default_rng(1)
     q = rng.uniform(-2.0, 2.0, 6)
-    frames = RIG.arm.world_T_base @ kinematics.link_frames(q)
+    frames = RIG.arm.world_T_base @ RIG.arm.kinematics.link_frames(q)
     axes = np.concatenate([RIG.arm.world_T_base[None], frames[:-1]])[:, :3, 2]
     built.set_configuration(q, 0.1)
     before = built.flange.entity_pose.to_transformation_matrix()[:3, :3]
@@ -92,7 +107,7 @@ def test_pictures_have_the_rigs_shapes_and_poses(rendered: SimWorld, camera: str
     assert frame.colour.shape == (facts.height, facts.width, 3) and frame.colour.dtype == np.uint8
     assert frame.depth.shape == (facts.height, facts.width) and frame.depth.dtype == np.uint16
     np.testing.assert_array_equal(frame.intrinsics, facts.intrinsics)
-    mount = RIG.arm.world_T_base @ kinematics.forward(RIG.arm.home) if facts.mount == "flange" else np.eye(4)
+    mount = RIG.arm.world_T_base @ RIG.arm.kinematics.forward(RIG.arm.home) if facts.mount == "flange" else np.eye(4)
     np.testing.assert_allclose(frame.world_T_cam, mount @ facts.pose, atol=2e-4)
     assert frame.colour.std() > 5, "a picture of nothing"
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from policies.cartesian import Hand
-from resync_robot.core import kinematics, spatial
+from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.vocabulary import BLOCK
@@ -25,7 +25,7 @@ def joints_at(tip: np.ndarray) -> np.ndarray:
     """(6,) arm with the hand pointing down at a tip position in the world."""
     pose = spatial.transform(Hand.rotation(0.0), tip)
     flange = spatial.inverse(RIG.arm.world_T_base) @ pose @ spatial.inverse(RIG.gripper.flange_T_tip)
-    return kinematics.inverse(flange, RIG.arm.home)
+    return RIG.arm.kinematics.inverse(flange, RIG.arm.home)
 
 
 def send(world: SimWorld, tip: np.ndarray, seconds: float, opening: float = 0.0) -> None:

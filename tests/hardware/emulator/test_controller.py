@@ -14,7 +14,7 @@ from hardware.emulator.dashboard import DashboardClient
 from hardware.emulator.program import DONE, READY, Command
 from hardware.emulator.rtde import RtdeClient, packet
 from hardware.emulator.script import ScriptClient
-from resync_robot.core import kinematics
+from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import load_rig
 
 HOME = load_rig().arm.home
@@ -81,6 +81,35 @@ def test_other_commands_are_done_once_and_wait_to_be_cleared(running: Controller
     write(running, Command.SET_PAYLOAD, 2.5, 0.0, 0.0, 0.05)
     running.tick()
     assert running.payload == 2.5
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_it_is_the_arm_of_its_settings(name: str) -> None:
+    arm = ARMS[name]
+    machine = Controller(KinematicArm(HOME), ControllerSettings(model=arm))
+    assert DashboardClient(machine).feed(b"get robot model\n") == f"{arm.polyscope}\n".encode()
+    pose = machine.outputs()["actual_TCP_pose"]
+    np.testing.assert_allclose(pose[:3], arm.kinematics.forward(HOME)[:3, 3], atol=1e-9)
+    for speed, stopped in ((0.999, False), (1.001, True)):
+        ScriptClient(machine).feed(SCRIPT)
+        machine.tick()
+        write(machine, Command.SPEEDJ, *(speed * np.array(arm.speed)), 5.0, 0.1)
+        machine.tick()
+        assert (machine.safety_mode is SafetyMode.PROTECTIVE_STOP) == stopped
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_it_carries_no_more_than_its_payload(name: str) -> None:
+    most = ARMS[name].payload
+    machine = Controller(KinematicArm(HOME), ControllerSettings(model=ARMS[name]))
+    ScriptClient(machine).feed(SCRIPT)
+    for mass, taken in ((most, most), (most + 0.1, most)):
+        write(machine, Command.NONE)
+        machine.tick()
+        write(machine, Command.SET_PAYLOAD, mass, 0, 0, 0)
+        machine.tick()
+        assert machine.payload == taken
+    assert machine.program is None, "the script ends with an error"
 
 
 def test_a_move_is_done_when_it_has_arrived(running: Controller) -> None:
@@ -196,7 +225,7 @@ def test_forces_are_given_in_the_base_frame() -> None:
     # The base is turned by half a turn about the world's z.
     np.testing.assert_allclose(controller.outputs()["actual_TCP_force"], (-3.0, 0.0, 10.0, 0, 0, 0), atol=1e-9)
     pose = controller.outputs()["actual_TCP_pose"]
-    np.testing.assert_allclose(pose[:3], kinematics.forward(HOME)[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(pose[:3], rig.arm.kinematics.forward(HOME)[:3, 3], atol=1e-9)
 
 
 @pytest.mark.parametrize(

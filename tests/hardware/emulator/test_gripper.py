@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from hardware.base import SERVO_PERIOD
-from hardware.emulator.gripper import CLOSED_COUNT, OPEN_COUNT, EmulatedGripper, GripperClient, count_of, opening_of
+from hardware.emulator.gripper import CLOSED_COUNT, OPEN_COUNT, EmulatedGripper, GripperClient
+from resync_robot.core.machines import GRIPPERS, GripperModel
 
 
 @pytest.fixture
@@ -26,11 +27,20 @@ def run(gripper: EmulatedGripper, seconds: float, object_width: float = 0.0) -> 
     return opening
 
 
-def test_counts_and_openings_are_inverse() -> None:
-    assert [opening_of(OPEN_COUNT), opening_of(CLOSED_COUNT)] == [0.14, 0.0]
-    assert [count_of(opening_of(c)) for c in range(OPEN_COUNT, CLOSED_COUNT + 1)] == [
-        *range(OPEN_COUNT, CLOSED_COUNT + 1)
-    ]
+@pytest.mark.parametrize("model", GRIPPERS.values(), ids=GRIPPERS)
+def test_counts_and_openings_are_inverse(model: GripperModel) -> None:
+    gripper, counts = EmulatedGripper(model=model), range(OPEN_COUNT, CLOSED_COUNT + 1)
+    assert [gripper.opening_of(OPEN_COUNT), gripper.opening_of(CLOSED_COUNT)] == [model.stroke, 0.0]
+    assert [gripper.count_of(gripper.opening_of(c)) for c in counts] == [*counts]
+
+
+@pytest.mark.parametrize("model", GRIPPERS.values(), ids=GRIPPERS)
+def test_it_moves_at_the_speed_of_its_model(model: GripperModel) -> None:
+    for spe, speed in ((0, model.speed[0]), (255, model.speed[1])):
+        gripper = EmulatedGripper(model.stroke, activated=True, model=model)
+        gripper.set("SPE", spe)
+        gripper.set("POS", 255)
+        assert model.stroke - run(gripper, 0.2) == pytest.approx(0.2 * speed)
 
 
 def test_it_has_to_be_activated() -> None:

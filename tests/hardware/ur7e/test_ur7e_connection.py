@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from hardware.base import RobotError
@@ -50,6 +52,13 @@ def test_no_connection_without_power_or_in_local_control(machine: Emulator, robo
     machine.call(lambda: setattr(machine.controller, "remote", False))
     with pytest.raises(RobotError, match="local control"):
         robot.connect()
+    assert machine.controller.uploads == 0
+
+
+def test_no_connection_to_another_arm_than_the_rig_says(machine: Emulator, rig: Rig) -> None:
+    other = replace(rig, arm=replace(rig.arm, model="ur10e"))
+    with pytest.raises(RobotError, match=r"the controller's arm is a UR7, the rig file says UR10e"):
+        Ur7e(other, Robotiq(machine.address)).connect()
     assert machine.controller.uploads == 0
 
 
