@@ -78,7 +78,7 @@ def draw_physics(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges
 
 def draw_solver(rng: np.random.Generator) -> Solver:
     """The shipped physics, solved a little more coarsely or more finely, with other contacts."""
-    iterations = round(SHIPPED.iterations * float(np.exp(rng.uniform(np.log(0.8), np.log(1.5)))))
+    iterations = round(SHIPPED.iterations * float(np.exp(rng.uniform(np.log(0.8), np.log(1.25)))))
     return replace(
         SHIPPED,
         iterations=min(iterations, MOST_ITERATIONS),

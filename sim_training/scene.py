@@ -200,7 +200,7 @@ def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendere
             # A shared bit in the third word: the robot's own links do not collide with each other.
             shape.set_collision_groups([1, 1, 1, 0])
             shape.contact_offset = solver.contact_offset
-    robot.set_solver_position_iterations(solver.iterations)
+    robot.set_solver_position_iterations(solver.arm_iterations)
     joints = {j.name: j for j in robot.active_joints}
     for name in ARM_JOINTS:
         joints[name].set_armature([0.02])

@@ -94,7 +94,8 @@ def test_objects_stand_where_the_task_says(built: BuiltScene) -> None:
     for obj in (B0, THE_BOX):
         pose = built.bodies[obj].pose.to_transformation_matrix()
         np.testing.assert_allclose(pose, spatial.pose_from_features(TASK.initial[obj][:7]), atol=1e-5)
-    assert built.rigid[B0].mass == pytest.approx(0.1)
+    weight = -built.rigid[B0].mass * built.scene.physx_system.config.gravity[2]
+    assert weight == pytest.approx(0.1 * 9.81, rel=1e-5), "more inertia, the same weight"
 
 
 def test_without_rendering_there_are_no_cameras(built: BuiltScene) -> None:
