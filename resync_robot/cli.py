@@ -11,13 +11,15 @@ import os
 import select
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from io import TextIOWrapper
+from typing import Any, TextIO
 
 import tyro
 
 from resync_robot import __version__
 from resync_robot.calibrate import CalibrateConfig, calibrate
-from resync_robot.core.errors import ConfigError, ResyncError
+from resync_robot.core.errors import ConfigError, DiskError, ResyncError
+from resync_robot.core.files import disk_fault
 from resync_robot.deploy import DeployConfig, deploy
 from resync_robot.doctor import DoctorConfig, doctor
 from resync_robot.emulate import EmulateConfig, emulate
@@ -43,12 +45,20 @@ Every command takes -v (--verbose) to log at debug level. --version prints the v
 
 PACKAGES = ("resync_robot", "sim_training", "policies", "perception", "hardware", "calibration")
 
-BAD_INPUT, INTERRUPTED, UNREAD = 2, 130, 141
-"""Exit codes; 0 is success, 1 a defect of this program. The latter two as a shell has them: 128 + SIGINT or SIGPIPE."""
+BAD_INPUT, FAULT, INTERRUPTED, UNREAD = 2, 3, 130, 141
+"""Exit codes; 0 is success, 1 a defect of this program. FAULT: of the machine, such as a full disk. The latter two as a
+shell has them: 128 + SIGINT or SIGPIPE."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one sub-command and return its exit code; end quietly where the reader of its output has left (`| head`)."""
+    """Run one sub-command and return its exit code.
+
+    It ends quietly where the reader of its output has left (`| head`), and with one message where a disk is full.
+    """
+    for output in (sys.stdout, sys.stderr):
+        if isinstance(output, TextIOWrapper):
+            # What the terminal's encoding has no sign for is no reason to end.
+            output.reconfigure(errors="backslashreplace")
     try:
         try:
             code = _run(argv)
@@ -60,25 +70,46 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     except BrokenPipeError:
         # A worker's pipe breaks with the same error, and that is a defect to be seen.
-        if not _unread():
+        code, lost = UNREAD, _unread()
+        if not lost:
             raise
     except SystemExit as end:
         # Rich answers a closed pipe by this, with code 1.
         if not isinstance(end.__context__, BrokenPipeError):
             raise
+        code, lost = UNREAD, _unread()
+    except Exception as error:
+        fault = disk_fault(error)
+        if fault is None:
+            raise
+        # An error of a file has its name.
+        lost = {1} if isinstance(error, OSError) and not error.filename and not _takes_lines(sys.stdout) else set()
+        if lost:
+            fault = DiskError("cannot write standard output", "free some space where it goes, or send it elsewhere")
+        if not _takes_lines(sys.stderr, f"error: {fault}"):
+            lost.add(2)
+        code = FAULT
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    for output in _unread():
+    for output in lost:
         # What is still buffered has to go somewhere when the interpreter ends.
         os.dup2(nowhere, output)
-    return UNREAD
+    return code
 
 
-def _unread() -> list[int]:
+def _takes_lines(output: TextIO, line: str = "") -> bool:
+    try:
+        print(line, file=output, flush=True)
+    except OSError:
+        return False
+    return True
+
+
+def _unread() -> set[int]:
     """Which of standard output and error are pipes whose reader has left."""
     poll = select.poll()
     for output in (1, 2):
         poll.register(output, 0)
-    return [output for output, event in poll.poll(0) if event & (select.POLLERR | select.POLLHUP)]
+    return {output for output, event in poll.poll(0) if event & (select.POLLERR | select.POLLHUP)}
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -102,7 +133,7 @@ def _run(argv: Sequence[str] | None) -> int:
         return run(config) or 0
     except ResyncError as error:
         print(f"error: {error}", file=sys.stderr)
-        return BAD_INPUT
+        return FAULT if isinstance(error, DiskError) else BAD_INPUT
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED

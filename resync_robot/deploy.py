@@ -76,7 +76,7 @@ def deploy(config: DeployConfig) -> int:
     """Run the episodes of `config`, each recorded whether it succeeds or not.
 
     Returns:
-        0 when every episode reached its goal, or was planned in a dry run, else 3.
+        0 when every episode reached its goal, or was planned in a dry run, and was recorded whole, else 3.
 
     Raises:
         ResyncError: bad input, or a machine that cannot be used.
@@ -143,17 +143,25 @@ def deploy(config: DeployConfig) -> int:
             "everything else is estimated."
         )
     succeeded = unplanned = 0
+    recorded = True
     for i, task in enumerate(tasks):
         path = folder / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap"
-        result, reached = _episode(config, rig, library, model, task, i, path, recording, segmenter)
+        result, reached, recorded = _episode(config, rig, library, model, task, i, path, recording, segmenter)
         succeeded += reached
         unplanned += result.end is End.NO_PLAN
         verdict = "goal reached" if reached else f"failed ({result.end.value}: {result.reason})"
-        say(f"Episode {i + 1}/{len(tasks)}: {verdict}; {len(result.transitions)} skills. Recording: {path}")
+        kept = f"Recording: {path}" if recorded else f"Recording incomplete: {path}"
+        if not path.exists():
+            kept = "Nothing of it was recorded."
+        say(f"Episode {i + 1}/{len(tasks)}: {verdict}; {len(result.transitions)} skills. {kept}")
         if result.end is End.NO_PLAN and not result.transitions:
             say('  -> See what it saw in the recording, or give another --goal, such as --goal "On(b1,b0)".')
+        if not recorded:
+            # The reason was logged when it happened. Nobody could find out later what an unrecorded episode did.
+            break
     say(f"{succeeded} of {len(tasks)} episodes reached the goal. Review:  resync-robot review {path}")
-    return 0 if succeeded == len(tasks) or (config.dry_run and not unplanned) else 3
+    done = succeeded == len(tasks) or (config.dry_run and not unplanned)
+    return 0 if done and recorded else 3
 
 
 def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:
@@ -236,7 +244,8 @@ def _episode(
     path: Path,
     recording: Episode | None,
     segmenter: Segmenter | None,
-) -> tuple[Result, bool]:
+) -> tuple[Result, bool, bool]:
+    """How it went, whether the goal was reached, and whether all of it was recorded."""
     from hardware.base import RealtimeRobot, RobotError
     from resync_robot import __version__
     from resync_robot.backends import Layout, open_replay, open_simulated, open_ur7e
@@ -318,7 +327,7 @@ def _episode(
         else:
             # What the robot believes at the end does not count where the truth can be had.
             reached = result.success and task.goal <= model.abstraction.true_atoms(devices.truth())
-    return result, reached
+    return result, reached, writer.error is None
 
 
 def _may_run(config: DeployConfig, step: str) -> bool:

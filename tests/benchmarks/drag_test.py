@@ -16,6 +16,7 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -70,7 +71,7 @@ def drag(tasks: Sequence[Task], solver: Solver) -> tuple[np.ndarray, float]:
         built.approach(ways[0][i], ways[0][i], 0.0, 0.02)
         before = built.rigid[B0].entity_pose.p.copy()
         begun = time.process_time()
-        for here, there in zip(ways[:-1], ways[1:], strict=True):
+        for here, there in pairwise(ways):
             built.approach(here[i], there[i], 0.0, CONTROL_PERIOD)
         spent += time.process_time() - begun
         followed[i] = (built.rigid[B0].entity_pose.p - before) @ along[i]
