@@ -209,8 +209,10 @@ def load_rig(path: Path | None = None) -> Rig:
         where = str(path)
         try:
             text = read_text(path)
-        except (OSError, UnicodeDecodeError) as error:
+        except OSError as error:
             raise ConfigError(f"cannot read the rig file {path}: {error}", "give --rig FILE.toml") from None
+        except UnicodeDecodeError as error:
+            raise ConfigError(f"cannot read the rig file {path}: {error}", "save it as UTF-8") from None
     try:
         data = tomllib.loads(text)
     except ValueError as error:

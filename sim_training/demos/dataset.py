@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager, redirect_stderr, suppress
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -73,9 +73,13 @@ def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Map
                 video_backend="pyav",
             )
             with _quiet():
-                for segment in segments:
-                    _add(dataset, segment, task)
-                dataset.finalize()
+                try:
+                    for segment in segments:
+                        _add(dataset, segment, task)
+                    dataset.finalize()
+                except BaseException:
+                    _abandon(dataset)
+                    raise
         write_text(beside / STAMP, _json({"version": VERSION, "files": _hashes(beside), **stamp}))
 
 
@@ -116,6 +120,18 @@ def _add(dataset: Any, segment: Segment, task: str) -> None:
             }
         )
     dataset.save_episode()
+
+
+def _abandon(dataset: Any) -> None:
+    """After a failure: LeRobot's destructors would try again, later, make the folder anew, and complain."""
+    with suppress(Exception):
+        dataset.clear_episode_buffer()
+    dataset.meta.metadata_buffer.clear()
+    for owner in (dataset, dataset.meta):
+        if owner.writer is not None:
+            with suppress(Exception):
+                owner.writer.close()
+            owner.writer.is_open = False
 
 
 def merge_shards(shards: Sequence[Path], folder: Path) -> None:
