@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from resync_robot.core.errors import CalibrationError, ConfigError
+from resync_robot.core.files import check_output, starting_with, unwritable, whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,6 +29,14 @@ MARGIN = 0.005
 """m that a printer leaves white."""
 MOST_PIXELS = 600e6
 """Of a .png: A4 at 2400 dpi, 2 GB while it is drawn."""
+KINDS = {
+    kind.suffix: kind
+    for kind in (
+        starting_with("a board that this program drew", ".pdf", b"%PDF-", containing=b"ChArUco"),
+        starting_with("a board that this program drew", ".png", b"\x89PNG\r\n\x1a\n", containing=b"ChArUco"),
+    )
+}
+"""What a board is written as, by the ending of the file's name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,10 +132,13 @@ def write_board(spec: BoardSpec, path: Path, dpi: int = 600) -> None:
         path: a .pdf (lines, exact at any resolution) or a .png (`dpi` pixels an inch, and the file says so).
 
     Raises:
-        ConfigError: the file's name has another ending, or it cannot be written.
+        ConfigError: the file's name has another ending, it is there and is no such board, or it cannot be written.
+        DiskError: there is no room for it.
     """
-    if path.suffix.lower() not in (".pdf", ".png"):
+    kind = KINDS.get(path.suffix.lower())
+    if kind is None:
         raise ConfigError(f"a board is written as .pdf or .png, not as '{path.name}'", "give --out board.pdf")
+    check_output(path, kind)
     import numpy as np
 
     page = [max(a, b) for a, b in zip(A4, (spec.size[0] + 2 * MARGIN, spec.size[1] + 6 * MARGIN), strict=True)]
@@ -179,10 +191,10 @@ def write_board(spec: BoardSpec, path: Path, dpi: int = 600) -> None:
     )
     axes.text(left, bottom + 0.006, text, fontsize=7, family="monospace", va="center")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=dpi, metadata={"Title": text} if path.suffix.lower() == ".pdf" else None)
+        with whole(path) as beside:
+            figure.savefig(beside, dpi=dpi, format=kind.suffix[1:], metadata={"Title": text})
     except OSError as error:
-        raise ConfigError(f"cannot write {path}: {error.strerror}", "give another file with --out") from None
+        raise unwritable(path, error, "give another file with --out") from None
 
 
 def _cells(spec: BoardSpec, number: int) -> UInt8[np.ndarray, "n n"]:

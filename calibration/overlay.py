@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float, UInt8
 
 from calibration.board import BoardSpec
 from calibration.detect import Corners, project
-from resync_robot.core.errors import CalibrationError, ConfigError
+from resync_robot.core.errors import CalibrationError
+from resync_robot.core.files import PNG, check_output, unwritable, write_bytes
 
 ZOOM = 3
 SEEN, PREDICTED, SIMULATED = (40, 200, 60), (230, 40, 160), (0, 190, 255)
@@ -117,15 +118,15 @@ def compare_outline(colour: UInt8[np.ndarray, "h w 3"], robot: Bool[np.ndarray, 
 
 
 def save_picture(path: Path, picture: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write a PNG. Raises ConfigError."""
+    """Write a PNG, whole or not at all. Raises ConfigError or DiskError."""
     ok, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
     if not ok:
         raise CalibrationError(f"a picture of shape {picture.shape} cannot be written as PNG")
+    check_output(path, PNG)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data.tobytes())
+        write_bytes(path, data.tobytes())
     except OSError as error:
-        raise ConfigError(f"cannot write {path}: {error.strerror}", "give another folder with --out") from None
+        raise unwritable(path, error, "give another folder with --out") from None
 
 
 def _fixed(px: np.ndarray) -> np.ndarray:

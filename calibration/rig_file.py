@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from importlib.resources import files
-from itertools import pairwise
+from itertools import chain, count, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationRecord
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.files import read_text, unwritable, whole, write_bytes
 from resync_robot.core.rig import load_rig
 from resync_robot.core.sensor_noise import SensorNoise
 
@@ -30,7 +32,8 @@ def update_rig(
 ) -> None:
     """Write `target`: the rig file `source` (None: the built-in one) with another camera entry.
 
-    The result is read back and compared before anything is replaced; an older `target` is kept as `target.bak`.
+    The result is read back and compared before anything is replaced; an older `target` is kept as `target.bak`, or as
+    `target.bak-2` and so on where there are such files. A link stays one, and what it points to is written.
 
     Args:
         values: fields of the camera; `pose` as a (4, 4) matrix, the others numbers.
@@ -38,6 +41,7 @@ def update_rig(
 
     Raises:
         ConfigError: the file is written in an unusual way, or cannot be written.
+        DiskError: there is no room for it; nothing has changed.
     """
     tables = {name: table for name, table in (("calibration", record), ("noise", noise)) if table is not None}
     edited = _edit(_text(source), camera, values, tables)
@@ -55,7 +59,7 @@ def update_hues(source: Path | None, target: Path, hues: Mapping[str, float]) ->
     for name in hues:
         if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
             raise ConfigError(f"{name!r} is no name for a thing", "use letters, digits, _ and -")
-    lines = _text(source).splitlines()
+    lines = _lines(_text(source))
     heads = [i for i, line in enumerate(lines) if re.match(r"\s*\[\s*hues\s*\]", line)]
     begin = heads[0] if heads else len(lines)
     end = next((i for i in range(begin + 1, len(lines)) if re.match(r"\s*\[", lines[i])), len(lines))
@@ -71,7 +75,7 @@ def update_hues(source: Path | None, target: Path, hues: Mapping[str, float]) ->
 
     def compare(beside: Path) -> None:
         read = load_rig(beside)
-        before, after = tomllib.loads(_text(source)), tomllib.loads(beside.read_text())
+        before, after = tomllib.loads(_text(source)), tomllib.loads(read_text(beside))
         wanted = {**before.pop("hues", {}), **rounded}
         if read.hues != wanted or after | {"hues": wanted} != before | {"hues": wanted}:
             raise ConfigError("the rig file is written in a way in which [hues] cannot be changed", "write [hues] last")
@@ -80,25 +84,34 @@ def update_hues(source: Path | None, target: Path, hues: Mapping[str, float]) ->
 
 
 def _text(source: Path | None) -> str:
-    return source.read_text() if source else files("resync_robot.core").joinpath("simulated_rig.toml").read_text()
+    if source is None:
+        return files("resync_robot.core").joinpath("simulated_rig.toml").read_text(encoding="utf-8")
+    return read_text(source)
+
+
+def _lines(text: str) -> list[str]:
+    """As TOML counts them: other signs that end lines elsewhere may stand in a comment."""
+    return text.rstrip("\n").split("\n")
 
 
 def _replace(target: Path, text: str, check: Callable[[Path], None]) -> None:
-    """Write beside, check that, and put it in place; what was there is kept. Raises ConfigError."""
-    beside = target.with_name(target.name + ".part")
+    """Write beside, check that, and put it in place; what was there is kept. Raises ConfigError or DiskError."""
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(text)
+        with whole(target) as beside:
+            beside.write_text(text, encoding="utf-8")
+            check(beside)
+            if target.exists():
+                _keep(target)
     except OSError as error:
-        raise ConfigError(f"cannot write {target}: {error.strerror}", "give another file with --write") from None
-    try:
-        check(beside)
-    except ConfigError:
-        beside.unlink()
-        raise
-    if target.exists():
-        target.replace(target.with_name(target.name + ".bak"))
-    beside.replace(target)
+        raise unwritable(target, error, "give another file with --write") from None
+
+
+def _keep(target: Path) -> None:
+    """A copy of it as it was, under the first name that is free. Raises OSError."""
+    data = target.read_bytes()
+    names = (f"{target.name}.bak{n}" for n in chain([""], (f"-{i}" for i in count(2))))
+    copy = next(path for path in map(target.with_name, names) if not os.path.lexists(path))
+    write_bytes(copy, data)
 
 
 def pose_text(pose: np.ndarray) -> str:
@@ -108,7 +121,7 @@ def pose_text(pose: np.ndarray) -> str:
 
 
 def _edit(text: str, camera: str, values: Mapping[str, Any], tables: Mapping[str, Any]) -> str:
-    lines = text.splitlines()
+    lines = _lines(text)
     begin, end = _camera_lines(lines, camera)
     # A sub-table of this camera begins its own section.
     heads = [i for i in range(begin + 1, end) if re.match(r"\s*\[", lines[i])]

@@ -18,6 +18,7 @@ from calibration.board import BoardSpec
 from calibration.detect import BoardDetector, Rejected, Sighting
 from calibration.propose import apart
 from resync_robot.core.errors import CalibrationError, ConfigError
+from resync_robot.core.files import read_text, unwritable, write_bytes, write_text
 
 LEAST_NEWS = 0.05
 """m (turns count by `propose.TILT_WEIGHT`: 7 degrees) by which a view must differ from every other to be of use."""
@@ -117,6 +118,7 @@ class ShotFolder:
 
     Raises:
         ConfigError: it cannot be written, or holds pictures already.
+        DiskError: there is no room in it.
     """
 
     def __init__(self, path: Path, camera: str, spec: BoardSpec) -> None:
@@ -134,23 +136,21 @@ class ShotFolder:
                 ) from None
             raise ConfigError(f"cannot write to {path}: it is a file", "give another folder with --out") from None
         except OSError as error:
-            raise ConfigError(f"cannot write to {path}: {error.strerror}", "give another folder with --out") from None
+            raise unwritable(f"to {path}", error, "give another folder with --out") from None
 
     def add(self, shot: Shot) -> None:
-        """Raises ConfigError when the disk is full."""
+        """Raises DiskError when the disk is full, ConfigError when it cannot be written for another reason."""
         reason = shot.verdict.reason if isinstance(shot.verdict, Rejected) else None
         try:
             ok, png = cv2.imencode(".png", cv2.cvtColor(shot.colour, cv2.COLOR_RGB2BGR))
-            (self.path / shot.name).write_bytes(png.tobytes() if ok else b"")
+            write_bytes(self.path / shot.name, png.tobytes() if ok else b"")
             self._content["shots"].append({"file": shot.name, "q": shot.q.tolist(), "rejected": reason})
             self._write()
         except OSError as error:
-            raise ConfigError(f"cannot write to {self.path}: {error.strerror}", "free some space") from None
+            raise unwritable(f"to {self.path}", error, "give another folder with --out") from None
 
     def _write(self) -> None:
-        beside = self.path / f"{LIST}.part"
-        beside.write_text(json.dumps(self._content, indent=1) + "\n")
-        beside.replace(self.path / LIST)
+        write_text(self.path / LIST, json.dumps(self._content, indent=1) + "\n")
 
 
 def read_shots(path: Path, camera: str, judge: Judge) -> list[Shot]:
@@ -161,8 +161,9 @@ def read_shots(path: Path, camera: str, judge: Judge) -> list[Shot]:
     """
     again = "take them anew: resync-robot calibrate hand-eye"
     try:
-        content = json.loads((path / LIST).read_text())
-        taken_by, rows = content["camera"], [(str(s["file"]), s["q"]) for s in content["shots"]]
+        content = json.loads(read_text(path / LIST))
+        # Only plain names, of overlays too: a list from elsewhere must not point out of its folder.
+        taken_by, rows = content["camera"], [(Path(s["file"]).name, s["q"]) for s in content["shots"]]
     except OSError as error:
         raise CalibrationError(f"no pictures in {path}: {error.strerror}", again) from None
     except (ValueError, KeyError, TypeError):
@@ -177,8 +178,7 @@ def read_shots(path: Path, camera: str, judge: Judge) -> list[Shot]:
             q = np.zeros(0)
         if q.shape != (6,) or not np.isfinite(q).all():
             raise CalibrationError(f"{path / LIST}: the pose of {name} must be 6 numbers (rad)", again)
-        # Only a plain name: a list from elsewhere must not point out of its folder.
-        data = (path / Path(name).name).read_bytes() if (path / Path(name).name).is_file() else b""
+        data = (path / name).read_bytes() if (path / name).is_file() else b""
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
         if image is None:
             raise CalibrationError(f"{path / name} is missing or no picture", f"remove it from {path / LIST}")

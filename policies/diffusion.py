@@ -24,12 +24,14 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
+from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 
 from policies import trunk
 from resync_robot.core import spatial
 from resync_robot.core.errors import PolicyError
+from resync_robot.core.files import read_text, write_bytes, write_text
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.learning.camera_view import (
     ACTION_NAMES,
@@ -207,9 +209,10 @@ class DiffusionStudent(nn.Module):
         self.policy.save_pretrained(folder)
         self.pre.save_pretrained(folder)
         self.post.save_pretrained(folder)
-        save_file({k: v.contiguous() for k, v in self.heads.state_dict().items()}, folder / "heads.safetensors")
+        heads = {k: v.contiguous() for k, v in self.heads.state_dict().items()}
+        write_bytes(folder / "heads.safetensors", to_bytes(heads))
         stamp = {"version": VERSION, "horizon": self.horizon, "cameras": {v: _geometry(rig.camera(v)) for v in VIEWS}}
-        (folder / "resync.json").write_text(json.dumps(stamp, indent=2, sort_keys=True) + "\n")
+        write_text(folder / "resync.json", json.dumps(stamp, indent=2, sort_keys=True) + "\n")
 
 
 def load_student(folder: Path, rig: Rig | None = None, device: str = "cpu") -> DiffusionStudent:
@@ -222,7 +225,7 @@ def load_student(folder: Path, rig: Rig | None = None, device: str = "cpu") -> D
         PolicyError: missing, truncated, of another version or rig, or without statistics.
     """
     try:
-        stamp = json.loads((folder / "resync.json").read_text())
+        stamp = json.loads(read_text(folder / "resync.json"))
     except (OSError, ValueError) as error:
         raise PolicyError(f"there is no camera policy in {folder}: {error}", RETRAIN) from None
     if not isinstance(stamp, dict) or stamp.get("version") != VERSION or set(stamp.get("cameras", {})) != set(VIEWS):

@@ -21,7 +21,7 @@ from resync_robot.core import spatial
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.progress import say
-from resync_robot.run_folder import check_writable, default_folder
+from resync_robot.run_folder import check_folder, default_folder
 from sim_training.calibration_scene import Bench, CalibrationWorld, Poster, displaced
 from sim_training.sensor import NoisySensor
 
@@ -45,9 +45,9 @@ class Machine:
 
 
 def picture_folder(config: LookConfig) -> Path:
-    """Where pictures and overlays go. Raises ConfigError where nothing can be written."""
+    """Where pictures and overlays go. Raises ConfigError or DiskError where nothing can be written."""
     folder = config.out or default_folder(f"calibrate-{config.camera}")
-    check_writable(folder / "probe")
+    check_folder(folder)
     return folder
 
 

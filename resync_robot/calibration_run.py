@@ -26,7 +26,6 @@ from resync_robot.core.errors import CalibrationError, ResyncError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import CameraRig, Rig, load_rig
 from resync_robot.progress import say
-from resync_robot.run_folder import check_writable
 from sim_training.calibration_scene import Bench
 
 SPARE = 1.5
@@ -49,7 +48,6 @@ def hand_eye(config: HandEyeConfig) -> int:
     rig, camera = _rig_and_camera(config)
     target = config.write or config.rig or Path("rig.toml")
     check_target(target, config.rig)
-    check_writable(target)
     folder = picture_folder(config)
     with _keeping(config, folder):
         shots, truth = _shots(config, rig, camera, folder)
@@ -89,7 +87,7 @@ def check(config: CheckConfig) -> int:
     """
     rig, camera = _rig_and_camera(config)
     if config.rig is not None:
-        check_writable(config.rig)
+        check_target(config.rig, config.rig)
     folder = picture_folder(config)
     with _keeping(config, folder):
         shots, _ = _shots(config, rig, camera, folder)
@@ -124,7 +122,6 @@ def intrinsics(config: IntrinsicsConfig) -> int:
     rig, camera = _rig_and_camera(config)
     if config.write is not None:
         check_target(config.write, config.rig)
-        check_writable(config.write)
     folder = picture_folder(config)
     with _keeping(config, folder):
         shots, _ = _shots(config, rig, camera, folder)

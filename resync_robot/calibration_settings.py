@@ -9,6 +9,7 @@ from typing import Literal
 
 from calibration.board import BoardSpec
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.files import RIG, check_output
 from resync_robot.core.options import check_range, check_seed
 
 MOST_POSES, MOST_THINGS = 100, 4
@@ -142,7 +143,13 @@ class HuesConfig:
 
 
 def check_target(target: Path, rig: Path | None) -> None:
-    """Refuse to replace a rig file by one that was made from the built-in rig. Raises ConfigError."""
+    """Refuse to replace what is no rig file, or a rig file by one that was made from the built-in rig.
+
+    Raises:
+        ConfigError: it is one of these, or cannot be written.
+        DiskError: there is no room for it.
+    """
+    check_output(target, RIG, option="--rig" if target == rig else "--write")
     if rig is None and target.exists():
         raise ConfigError(
             f"{target} exists; it would be replaced by one that is made from the built-in rig",

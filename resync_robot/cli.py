@@ -12,13 +12,15 @@ import select
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any
+from io import TextIOWrapper
+from typing import Any, TextIO
 
 import tyro
 
 from resync_robot import __version__
 from resync_robot.calibrate import CalibrateConfig, calibrate
-from resync_robot.core.errors import ConfigError, ResyncError
+from resync_robot.core.errors import ConfigError, DiskError, ResyncError
+from resync_robot.core.files import disk_fault
 from resync_robot.deploy import DeployConfig, deploy
 from resync_robot.doctor import DoctorConfig, doctor
 from resync_robot.emulate import EmulateConfig, emulate
@@ -45,13 +47,20 @@ Every command takes -v (--verbose) to log at debug level. --version prints the v
 
 PACKAGES = ("resync_robot", "sim_training", "policies", "perception", "hardware", "calibration")
 
-BAD_INPUT, SIGNALLED, UNREAD = 2, 128, 141
-"""Exit codes; 0 is success, 1 a defect of this program. To SIGNALLED the signal's number is added, as a shell does;
-UNREAD is that of SIGPIPE."""
+BAD_INPUT, FAULT, SIGNALLED, UNREAD = 2, 3, 128, 141
+"""Exit codes; 0 is success, 1 a defect of this program. FAULT: of the machine, such as a full disk. To SIGNALLED the
+signal's number is added, as a shell does; UNREAD is that of SIGPIPE."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one sub-command and return its exit code; end quietly where the reader of its output has left (`| head`)."""
+    """Run one sub-command and return its exit code.
+
+    It ends quietly where the reader of its output has left (`| head`), and with one message where a disk is full.
+    """
+    for output in (sys.stdout, sys.stderr):
+        if isinstance(output, TextIOWrapper):
+            # What the terminal's encoding has no sign for is no reason to end.
+            output.reconfigure(errors="backslashreplace")
     code = 0
     try:
         try:
@@ -62,30 +71,56 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(end="", flush=True)
         return code
-    except OSError as error:
-        # A closed pipe, or a terminal that is gone, which SIGHUP tells first. A worker's pipe breaks with the same
-        # error, and that is a defect to be seen.
-        if not _unread():
-            raise
-        ended = ended_by(error)
-        code = code if ended is None else SIGNALLED + ended
     except SystemExit as end:
         # Rich answers a closed pipe by this, with code 1.
         if not isinstance(end.__context__, BrokenPipeError):
             raise
+        code, lost = UNREAD, _unread()
+    except Exception as error:
+        # A closed pipe, or a terminal that is gone, which SIGHUP tells first. A worker's pipe breaks with the same
+        # error, and that is a defect to be seen.
+        lost = _unread() if isinstance(error, OSError) else set()
+        if lost:
+            ended = ended_by(error) if isinstance(error, OSError) else None
+            code = SIGNALLED + ended if ended is not None else (code if code > SIGNALLED else UNREAD)
+        else:
+            lost = _tell_disk_fault(error)
+            code = FAULT
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    for output in _unread():
+    for output in lost:
         # What is still buffered has to go somewhere when the interpreter ends.
         os.dup2(nowhere, output)
-    return code if code > SIGNALLED else UNREAD
+    return code
 
 
-def _unread() -> list[int]:
+def _tell_disk_fault(error: Exception) -> set[int]:
+    """Say which disk does not take what is written; which of standard output and error lie on it. Raises all else."""
+    fault = disk_fault(error)
+    if fault is None:
+        raise error
+    # An error of a file has its name.
+    lost = {1} if isinstance(error, OSError) and not error.filename and not _takes_lines(sys.stdout) else set()
+    if lost:
+        fault = DiskError("cannot write standard output", "free some space where it goes, or send it elsewhere")
+    if not _takes_lines(sys.stderr, f"error: {fault}"):
+        lost.add(2)
+    return lost
+
+
+def _takes_lines(output: TextIO, line: str = "") -> bool:
+    try:
+        print(line, file=output, flush=True)
+    except OSError:
+        return False
+    return True
+
+
+def _unread() -> set[int]:
     """Which of standard output and error are pipes whose reader has left."""
     poll = select.poll()
     for output in (1, 2):
         poll.register(output, 0)
-    return [output for output, event in poll.poll(0) if event & (select.POLLERR | select.POLLHUP)]
+    return {output for output, event in poll.poll(0) if event & (select.POLLERR | select.POLLHUP)}
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -110,7 +145,7 @@ def _run(argv: Sequence[str] | None) -> int:
             return run(config) or 0
     except ResyncError as error:
         print(f"error: {error}", file=sys.stderr)
-        return BAD_INPUT
+        return FAULT if isinstance(error, DiskError) else BAD_INPUT
     except KeyboardInterrupt as end:
         number = number_of(end)
         # The terminal may have gone, which is what SIGHUP says.

@@ -81,8 +81,8 @@ def deploy(config: DeployConfig) -> int:
     """Run the episodes of `config`, each recorded whether it succeeds or not.
 
     Returns:
-        0 when every episode reached its goal, or was planned in a dry run, else 3; 3 as well where nobody knows
-        whether the robot has stopped.
+        0 when every episode reached its goal, or was planned in a dry run, and was recorded whole, else 3; 3 as well
+        where nobody knows whether the robot has stopped.
 
     Raises:
         ResyncError: bad input, or a machine that cannot be used.
@@ -162,19 +162,22 @@ def deploy(config: DeployConfig) -> int:
             outcome = _episode(config, rig, library, model, task, i, path, recording, segmenter)
             good += outcome.good
             try:
-                say(f"Episode {i + 1}/{len(tasks)}: {outcome.verdict}; {outcome.skills} skills. Recording: {path}")
+                say(f"Episode {i + 1}/{len(tasks)}: {outcome.verdict}; {outcome.skills} skills. {outcome.kept(path)}")
             finally:
                 # Also where the terminal is gone that this was to be said on.
                 if outcome.error is not None:
                     raise outcome.error
             if outcome.fix:
                 say(f"  -> {outcome.fix}")
-        if outcome.halt is Halt.UNKNOWN and i + 1 < len(tasks):
-            say(f"The other {len(tasks) - i - 1} episodes are not begun: {outcome.halt.value}.")
+        # Nobody could find out later what an unrecorded episode did.
+        ends = outcome.halt.value if outcome.halt is Halt.UNKNOWN else "" if outcome.recorded else "nothing is recorded"
+        if ends:
+            if i + 1 < len(tasks):
+                say(f"The other {len(tasks) - i - 1} episodes are not begun: {ends}.")
             break
     done = "were planned" if config.dry_run else "reached the goal"
     say(f"{good} of {len(tasks)} episodes {done}. Review:  resync-robot review {path}")
-    return 0 if good == len(tasks) and outcome.halt is not Halt.UNKNOWN else 3
+    return 0 if good == len(tasks) and outcome.halt is not Halt.UNKNOWN and outcome.recorded else 3
 
 
 @dataclass(frozen=True)
@@ -185,6 +188,7 @@ class _Outcome:
         reached: whether its goal holds, in truth where that can be had.
         skills: how many were run to an end.
         halt: what is known of the robot; None where nothing moves by itself.
+        recorded: the recording is whole; where it is not, the reason was logged when it happened.
         error: what ends the program with the episode.
         fix: what to do about it.
     """
@@ -193,8 +197,15 @@ class _Outcome:
     reached: bool
     skills: int
     halt: Halt | None
+    recorded: bool
     error: BaseException | None = None
     fix: str = ""
+
+    def kept(self, path: Path) -> str:
+        """What there is of the recording, for people."""
+        if self.recorded:
+            return f"Recording: {path}"
+        return f"Recording incomplete: {path}" if path.exists() else "Nothing of it was recorded."
 
     @property
     def good(self) -> bool:
@@ -408,7 +419,8 @@ def _episode(
         halt = None if devices.halt is None else devices.halt()
         if halt is not None:
             recorder.on_halt(halt)
-    return _Outcome(result, reached, recorder.skills, halt, ending, BEWARE if halt is Halt.UNKNOWN else fix)
+    fix = BEWARE if halt is Halt.UNKNOWN else fix
+    return _Outcome(result, reached, recorder.skills, halt, writer.error is None, ending, fix)
 
 
 def _dated(meta: EpisodeMeta) -> EpisodeMeta:

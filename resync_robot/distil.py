@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from calibration.overlay import save_picture
 from resync_robot.core.damage import check_folder_kind, check_shape, reading
 from resync_robot.core.errors import TrainingError
-from resync_robot.core.files import read_text
+from resync_robot.core.files import read_text, whole_folder
 from resync_robot.core.library import Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.task import Domain
@@ -255,11 +256,9 @@ def to_keep(points: Sequence[Mapping[str, int]]) -> int:
 
 def _show(folder: RunFolder, shards: list[Path], points: list[dict[str, Any]], chosen: int) -> None:
     """What a person wants to see of it: the dataset as one, what the cameras saw, the curves."""
-    import cv2
-
     dataset.merge_shards(shards, folder.path / "dataset")
     sheet = dataset.contact_sheet(dataset.read_shards(shards[:: max(1, len(shards) // 6)]))
-    cv2.imwrite(str(folder.path / "demonstrations.png"), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
+    save_picture(folder.path / "demonstrations.png", sheet)
     draw_distillation(_read_losses(folder.stages / "distil.csv"), points, chosen, folder.path / "distil.png")
 
 
@@ -344,7 +343,7 @@ def _train(
 
     def report(step: int, losses: Mapping[str, float]) -> None:
         shares.shown(step, f"step {step}, {len(frames)} frames, loss {losses['action']:.4f}")
-        with (folder.stages / "distil.csv").open("a") as log:
+        with (folder.stages / "distil.csv").open("a", encoding="utf-8") as log:
             log.write(",".join([str(step), *(f"{v:.6f}" for v in losses.values())]) + "\n")
 
     threads = torch.get_num_threads()
@@ -353,10 +352,8 @@ def _train(
         trainer.run(min(until, trainer.step + CHECKPOINT_EVERY), report)
         trainer.save(checkpoint)
     torch.set_num_threads(threads)
-    with trainer.averaged():
-        beside = _candidate(folder, until).with_suffix(".part")
+    with trainer.averaged(), whole_folder(_candidate(folder, until)) as beside:
         student.save(beside, folder.rig)
-        beside.replace(_candidate(folder, until))
 
 
 THREADS = 2

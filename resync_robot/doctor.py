@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from resync_robot.core.errors import ResyncError
+from resync_robot.core.files import read_text
 
 PROBE_LIMIT_S = 60.0
 """How long a probe may load a library in a process of its own; the slowest takes 10 s on a busy machine."""
@@ -97,7 +98,7 @@ def check_packages(constraints: Path) -> Finding:
     """Every package that this one requires is there, in the version that constraints.txt pins."""
     if not constraints.is_file():
         return Finding("packages", "warn", f"no {constraints.name} beside this installation to compare with")
-    pins = dict(re.findall(r"^([\w.-]+)==(\S+)", constraints.read_text(), flags=re.MULTILINE))
+    pins = dict(re.findall(r"^([\w.-]+)==(\S+)", read_text(constraints), flags=re.MULTILINE))
     pins = {_normal(name): version for name, version in pins.items()}
     installed = {_normal(d.metadata["Name"]): d.version for d in metadata.distributions()}
     try:
@@ -216,7 +217,9 @@ def check_hardware_packages() -> Finding:
 def run_probe(command: list[str], limit_s: float = PROBE_LIMIT_S) -> subprocess.CompletedProcess[str]:
     """Run a probe in a process of its own; one that takes too long counts as failed."""
     try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=limit_s, check=False)
+        return subprocess.run(
+            command, capture_output=True, encoding="utf-8", errors="replace", timeout=limit_s, check=False
+        )
     except subprocess.TimeoutExpired:
         return subprocess.CompletedProcess(command, 124, "", f"no answer within {limit_s:.0f} s")
 

@@ -5,7 +5,7 @@ The only file that knows Rerun. Everything is on one timeline, `time`, in second
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,8 @@ import rerun.blueprint as rrb
 
 from resync_robot.core import spatial
 from resync_robot.core.episode import Episode, EventKind, Plan
-from resync_robot.core.errors import ConfigError, EpisodeError
+from resync_robot.core.errors import EpisodeError
+from resync_robot.core.files import unwritable, write_bytes
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.kinematics import ALPHA, Kinematics
 from resync_robot.core.machines import ARMS
@@ -52,21 +53,28 @@ BELIEF, TRUTH = _Look((240, 150, 40), 0.0012, True), _Look((60, 180, 90), 0.0006
 
 
 def save_drawing(episode: Episode, path: Path) -> None:
-    """Write the drawing as an .rrd file.
+    """Write the drawing as an .rrd file, whole or not at all.
 
     Raises:
         EpisodeError: the file cannot be written, or a message of the episode makes no sense.
+        DiskError: there is no room for it.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.open("wb").close()
+        _save("resync-robot", _blueprint(episode), lambda recording: draw(episode, recording), path)
     except OSError as error:
-        raise EpisodeError(f"cannot write {path}: {error.strerror}", "give another file with --save") from None
-    recording = rr.RecordingStream("resync-robot")
-    recording.save(path, default_blueprint=_blueprint(episode))
-    draw(episode, recording)
-    recording.flush()
+        raise unwritable(path, error, "give another file with --save", EpisodeError) from None
+
+
+def _save(name: str, blueprint: rrb.Blueprint, draw: Callable[[rr.RecordingStream], None], path: Path) -> None:
+    """Rerun draws into memory, for its own writer keeps quiet about a full disk, and takes a name for UTF-8 where the
+    system has another encoding. Raises OSError."""
+    recording = rr.RecordingStream(name)
+    stream = recording.binary_stream()
+    recording.send_blueprint(blueprint, make_active=False, make_default=True)
+    draw(recording)
+    data = stream.read()
     recording.disconnect()
+    write_bytes(path, data or b"")
 
 
 def draw(episode: Episode, recording: rr.RecordingStream) -> None:
@@ -93,19 +101,17 @@ def draw(episode: Episode, recording: rr.RecordingStream) -> None:
 
 
 def save_pictures(pictures: Mapping[str, np.ndarray], path: Path) -> None:
-    """Write (h, w, 3) RGB pictures by name as an .rrd file, side by side. Raises ConfigError."""
+    """Write (h, w, 3) RGB pictures by name as an .rrd file, side by side. Raises ConfigError or DiskError."""
     views = [rrb.Spatial2DView(origin=name, name=name) for name in pictures]
+
+    def draw(recording: rr.RecordingStream) -> None:
+        for name, picture in pictures.items():
+            recording.log(name, rr.Image(picture).compress(jpeg_quality=95), static=True)
+
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.open("wb").close()
+        _save("resync-robot-calibration", rrb.Blueprint(rrb.Vertical(*views), auto_views=False), draw, path)
     except OSError as error:
-        raise ConfigError(f"cannot write {path}: {error.strerror}", "give another folder with --out") from None
-    recording = rr.RecordingStream("resync-robot-calibration")
-    recording.save(path, default_blueprint=rrb.Blueprint(rrb.Vertical(*views), auto_views=False))
-    for name, picture in pictures.items():
-        recording.log(name, rr.Image(picture).compress(jpeg_quality=95), static=True)
-    recording.flush()
-    recording.disconnect()
+        raise unwritable(path, error, "give another folder with --out") from None
 
 
 @dataclass(frozen=True)

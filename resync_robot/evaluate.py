@@ -186,6 +186,7 @@ def evaluate(config: EvaluateConfig) -> None:
             "rig": rig.hash,
         },
         more={"seeds": list(seeds), "episodes": config.episodes},
+        inputs=[config.rig],
         report=lambda rows: report(rows, domain, hashes),
         parse=_parse,
     )

@@ -10,6 +10,7 @@ from typing import Any
 from resync_robot import __version__
 from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.files import FIGURE, check_output
 from resync_robot.core.options import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
 from resync_robot.core.rig import load_rig
 from resync_robot.evaluation_report import count_once
@@ -50,6 +51,10 @@ def evaluate_perception(
     if looks not in LOOKS:
         raise ConfigError(f"--worlds {looks} has no meaning with --perception-only", f"give one of {', '.join(LOOKS)}")
     rig, seeds = load_rig(rig_file), count_once("seed", seeds)
+    if json:
+        if json.suffix == ".png":
+            raise ConfigError(f"--json {json} has the name of the picture beside it", "give a name such as report.json")
+        check_output(json.with_suffix(".png"), FIGURE, [rig_file], f"--json {json}: its picture")
     jobs = [(seed, scene, looks) for seed in seeds for scene in range(scenes)]
     file = ResultFile(
         path=json,
@@ -57,6 +62,7 @@ def evaluate_perception(
         rows="rows",
         settings={"version": __version__, "git": git_hash(), "rig": rig.hash, "worlds": looks},
         more={"seeds": list(seeds), "scenes": scenes},
+        inputs=[rig_file],
         report=perception_report,
         parse=partial(_parse, looks),
     )

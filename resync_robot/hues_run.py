@@ -12,7 +12,6 @@ from resync_robot.calibration_machine import open_machine
 from resync_robot.calibration_settings import HuesConfig, check_target
 from resync_robot.core.rig import load_rig
 from resync_robot.progress import say
-from resync_robot.run_folder import check_writable
 from sim_training.calibration_scene import Bench
 
 WRIST = "wrist"
@@ -28,7 +27,6 @@ def measure_hues(config: HuesConfig) -> int:
     rig = load_rig(config.rig)
     if config.write is not None:
         check_target(config.write, config.rig)
-        check_writable(config.write)
     scan, catalogue = Scan(rig, camera=WRIST), catalogue_of(rig)
     # A deployment must be able to use the names; their colours, that are measured now, all differ here.
     check_colours(rig, {name: (i + 0.5) / len(config.names) for i, name in enumerate(config.names)})

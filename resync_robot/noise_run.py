@@ -14,7 +14,6 @@ from resync_robot.calibration_settings import NoiseConfig, check_target
 from resync_robot.core.rig import load_rig
 from resync_robot.core.world import CameraFrame
 from resync_robot.progress import say
-from resync_robot.run_folder import check_writable
 from sim_training.calibration_scene import Bench
 
 PLACES = ((0.42, -0.12), (0.42, 0.12), (0.55, 0.0))
@@ -32,7 +31,6 @@ def measure_noise(config: NoiseConfig) -> int:
     camera = rig.camera(config.camera)
     if config.write is not None:
         check_target(config.write, config.rig)
-        check_writable(config.write)
     # In simulation this very camera: what the simulation imitates of it is what should be found again.
     with open_machine(config.backend, rig, rig, Bench(config.seed), [camera], config.seed, 0.0, CLEAR) as machine:
         device = machine.cameras[camera.name]

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from resync_robot.evaluation_report import wilson
+from resync_robot.plots import save_figure
 
 if TYPE_CHECKING:
     from resync_robot.perception_trial import ObjectRow, SceneRow
@@ -73,7 +74,7 @@ def draw_reliability(report: dict[str, Any], path: Path) -> None:
     axis.set(xlabel="level of the ellipse", ylabel="share of truths within", xlim=(0.45, 1), ylim=(0.3, 1.01))
     axis.grid(alpha=0.25)
     axis.legend(fontsize=7)
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path)
     plt.close(figure)
 
 

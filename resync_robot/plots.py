@@ -4,6 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from resync_robot.core.files import whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write it as PNG, whole or not at all, with this program's name in it (`core.files.FIGURE`). Raises OSError."""
+    with whole(path) as beside:
+        figure.savefig(beside, dpi=130, format="png", metadata={"Software": "resync-robot"})
 
 
 def draw_learning_curve(curve: Mapping[str, Sequence[float]], path: Path) -> None:
@@ -20,7 +32,7 @@ def draw_learning_curve(curve: Mapping[str, Sequence[float]], path: Path) -> Non
     axis.axhline(95, color="#999999", linewidth=0.8, linestyle="--")
     axis.grid(alpha=0.25)
     axis.set_title(f"Recovery skill: {steps[-1]:.0f} k steps in {curve['seconds'][-1] / 60:.1f} min", fontsize=10)
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path)
     plt.close(figure)
 
 
@@ -48,5 +60,5 @@ def draw_distillation(
     right.axvline(chosen, color="#1f6fb4", linewidth=0.8, linestyle="--")
     right.set(ylabel="recovered by camera (%)", ylim=(0, 102))
     axis.set_title(f"Camera policy: {max(rates):.0f} % of {points[-1]['worlds']:.0f} held-out worlds", fontsize=10)
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path)
     plt.close(figure)

@@ -12,8 +12,9 @@ from typing import Any, Generic, TypeVar
 
 from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.files import REPORT, check_output
 from resync_robot.core.lock import sole_writer
-from resync_robot.run_folder import check_writable, read_json, write_json
+from resync_robot.run_folder import read_json, write_json
 
 _log = logging.getLogger(__name__)
 
@@ -35,6 +36,7 @@ class ResultFile(Generic[Job, Row]):
         settings: what decides how a row comes out, part of the file's provenance; rows that were made with others are
             never mixed with these.
         more: what else the provenance says, such as how much was asked for.
+        inputs: files that are read, where they are named; none of them is ever written.
         report: from the rows, in the order of their jobs, all that the file holds beside its provenance.
         parse: a job and its row from an entry of the list; raises KeyError, TypeError or ValueError on another thing.
     """
@@ -44,6 +46,7 @@ class ResultFile(Generic[Job, Row]):
     rows: str
     settings: Mapping[str, Any]
     more: Mapping[str, Any]
+    inputs: Sequence[Path | None]
     report: Callable[[list[Row]], Mapping[str, Any]]
     parse: Callable[[Any], tuple[Job, Row]]
 
@@ -65,15 +68,16 @@ class ResultFile(Generic[Job, Row]):
         """Hold the file, take over what it has with `resume`, and write it in the end, however that comes.
 
         Raises:
-            ConfigError: it cannot be written, another process writes it, it is unfinished and `resume` is not set, or
-                it holds what this evaluation would not.
+            DiskError: there is no room for it.
+            ConfigError: it cannot be written, is an input or no such report, another process writes it, it is
+                unfinished and `resume` is not set, or it holds what this evaluation would not.
         """
         if self.path is None:
             if resume:
                 raise ConfigError("--resume needs the file to go on with", "name it with --json FILE")
             yield
             return
-        check_writable(self.path)
+        check_output(self.path, REPORT, self.inputs, "--json")
         with ExitStack() as held:
             if self.path.is_file() or not self.path.exists():
                 held.enter_context(

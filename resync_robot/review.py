@@ -13,6 +13,7 @@ from pathlib import Path
 import tyro
 
 from resync_robot.core.errors import EpisodeError
+from resync_robot.core.files import MCAP, RRD, check_output
 
 _log = logging.getLogger(__name__)
 
@@ -35,11 +36,16 @@ def review(config: ReviewConfig) -> None:
     """Draw the episode and show it, or save it.
 
     Raises:
-        EpisodeError: the recording cannot be read, the file cannot be written, or there is no display to show it on.
+        EpisodeError: the recording cannot be read, or there is no display to show it on.
+        ConfigError: the file to write is the recording, or one of another kind, or cannot be written.
+        DiskError: there is no room for it.
     """
     if config.mend is not None:
+        check_output(config.mend, MCAP, [config.episode], "--mend")
         _mend(config.episode, config.mend)
         return
+    if config.save is not None:
+        check_output(config.save, RRD, [config.episode], "--save")
     if config.save is None and not _has_display():
         raise EpisodeError(
             "there is no display to open the viewer on",

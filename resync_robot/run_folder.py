@@ -15,7 +15,7 @@ from typing import Any
 
 from resync_robot.core.damage import AGAIN, Shape, check_folder_kind, check_shape, reading
 from resync_robot.core.errors import ConfigError, ResyncError
-from resync_robot.core.files import write_bytes
+from resync_robot.core.files import new_beside, read_text, unwritable, write_bytes, write_text
 from resync_robot.core.rig import Rig, load_rig
 
 RIG_FILE = "rig.toml"
@@ -61,7 +61,7 @@ class RunFolder:
         """Copy the rig file `path` into the run, so that it is resumed with the rig that it began with.
 
         Raises:
-            ConfigError: the file is no rig, or the run has begun with another one.
+            ConfigError: the file is no rig, the run has begun with another one, or its folder holds another one.
         """
         if path is None:
             return
@@ -71,9 +71,10 @@ class RunFolder:
                 f"the run in {self.path} is for the rig '{self.rig.name}' ({self.rig.hash}), not for {path}",
                 "leave --rig out to go on with it, or start a new run without --resume",
             )
-        beside = self.path / f"{RIG_FILE}.part"
-        beside.write_bytes(path.read_bytes())
-        beside.replace(self.path / RIG_FILE)
+        kept, data = self.path / RIG_FILE, path.read_bytes()
+        if kept.exists() and kept.read_bytes() != data:
+            raise ConfigError(f"{kept} exists, and is another rig file than {path}", "give another folder with --out")
+        write_bytes(kept, data)
         self.__dict__.pop("rig", None)
 
     def find_rig(self, begun: str | None, given: Path | None) -> None:
@@ -164,52 +165,41 @@ def read_json(path: Path) -> Any:
     if not path.exists():
         return None
     try:
-        return json.loads(path.read_text())
+        return json.loads(read_text(path))
     except ValueError as error:
         raise ConfigError(f"{path} is no valid JSON: {error}", "remove it, or start a new run") from None
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write beside and rename."""
-    beside = path.with_name(path.name + ".part")
-    beside.write_text(json.dumps(data, indent=2, sort_keys=True) + "\n")
-    beside.replace(path)
+    """Replace the file, whole or not at all. Raises OSError."""
+    write_text(path, json.dumps(data, indent=2, sort_keys=True) + "\n")
 
 
 def check_folder(path: Path, of: Path | None = None) -> None:
-    """Make the folder `path`, a part of `of`, and be sure that files can be written to it. Raises ConfigError."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".writable"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise ConfigError(f"cannot write to {of or path}: {error.strerror}", "give another folder with --out") from None
+    """Make the folder `path`, a part of `of`, and be sure that files can be written to it.
 
-
-def check_writable(path: Path) -> None:
-    """Make sure before long work that its results can be written to the file `path`. Raises ConfigError."""
-    beside = path.with_name(path.name + ".part")
+    Raises:
+        ConfigError: they cannot.
+        DiskError: the same, where the disk is to blame.
+    """
     try:
-        if path.is_dir():
-            raise IsADirectoryError(0, "it is a folder")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside.touch()
-        beside.unlink()
+        with new_beside(path / "probe"):
+            pass
     except OSError as error:
-        raise ConfigError(f"cannot write {path}: {error.strerror}", "give another file") from None
+        raise unwritable(f"to {of or path}", error, "give another folder with --out") from None
 
 
 def git_hash() -> str:
     """The commit of the code that runs, '+' where it has changes; 'unknown' outside a checkout."""
-    here = Path(__file__).parent
+
+    def git(*words: str) -> subprocess.CompletedProcess[str]:
+        here = Path(__file__).parent
+        return subprocess.run(
+            ["git", *words], cwd=here, capture_output=True, encoding="utf-8", errors="replace", timeout=5
+        )
+
     try:
-        head = subprocess.run(
-            ["git", "rev-parse", "--short=12", "HEAD"], cwd=here, capture_output=True, text=True, timeout=5
-        )
-        dirty = subprocess.run(
-            ["git", "status", "--porcelain", "-uno"], cwd=here, capture_output=True, text=True, timeout=5
-        )
+        head, dirty = git("rev-parse", "--short=12", "HEAD"), git("status", "--porcelain", "-uno")
     except (OSError, subprocess.TimeoutExpired):
         return "unknown"
     return head.stdout.strip() + ("+" if dirty.stdout.strip() else "") if head.returncode == 0 else "unknown"

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from resync_robot.core.errors import ConfigError, TrainingError
+from resync_robot.core.errors import ConfigError, DiskError, TrainingError
+from resync_robot.core.files import disk_fault
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -65,8 +66,8 @@ def train(config: TrainConfig) -> None:
     """Run every stage of `config` that its run folder does not hold yet, and save the library.
 
     Raises:
-        ResyncError: bad input, a run folder that another process writes or whose files are damaged, or a stage that
-            cannot produce what the next one needs.
+        ResyncError: bad input, a run folder that another process writes or whose files are damaged, a full disk, or a
+            stage that cannot produce what the next one needs.
     """
     from resync_robot import run_folder
     from resync_robot.core.lock import LOCK, sole_writer
@@ -103,10 +104,19 @@ def train(config: TrainConfig) -> None:
         except KeyboardInterrupt:
             say(f"What is done is kept. Go on with:  resync-robot train-sim --resume --out {path}")
             raise
+        except Exception as error:
+            fault = disk_fault(error)
+            if fault is None:
+                raise
+            again = f"free space there, then go on: resync-robot train-sim --resume --out {path}"
+            raise DiskError(fault.what, again) from None
 
 
 def _new(path: Path, settings: RunSettings) -> RunSettings:
-    """Refuse a folder in which something is left of another run. Raises ConfigError."""
+    """Refuse a folder in which something is left of another run, or is somebody else's: a run names its files without
+    asking. Raises ConfigError."""
+    from resync_robot.run_folder import RIG_FILE
+
     if (path / "config.json").exists():
         raise ConfigError(f"{path} already holds a run", "add --resume to go on with it, or give another --out")
     if (path / "stages").is_dir() and any((path / "stages").iterdir()):
@@ -114,6 +124,10 @@ def _new(path: Path, settings: RunSettings) -> RunSettings:
             f"{path / 'stages'} is left of a run whose config.json is gone",
             "remove it, or give another --out",
         )
+    # The two are what a run leaves that was refused before it began.
+    others = [p.name for p in path.iterdir() if p.name not in ("stages", RIG_FILE) and not p.name.startswith(".")]
+    if others:
+        raise ConfigError(f"{path} holds other files, such as {min(others)}", "give a new folder with --out")
     return settings
 
 

@@ -11,6 +11,8 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from resync_robot.core.files import disk_fault
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -80,4 +82,11 @@ class _Failed:
 def _call(function: Callable[[Any, Item], Result], item: Item) -> Result:
     if isinstance(_context, _Failed):
         raise _context.error
-    return function(_context, item)
+    try:
+        return function(_context, item)
+    except Exception as error:
+        # In our own words: errors of some libraries do not survive the way to another process.
+        fault = disk_fault(error)
+        if fault is None:
+            raise
+        raise fault from None

@@ -185,7 +185,7 @@ def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendere
     if rendered:
         builder = loader.parse(urdf_path())[0][0]
     else:
-        with NamedTemporaryFile("w", suffix=".urdf") as file:
+        with NamedTemporaryFile("w", suffix=".urdf", encoding="utf-8") as file:
             file.write(_bodies_only())
             file.flush()
             builder = loader.parse(file.name)[0][0]

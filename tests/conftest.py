@@ -1,7 +1,9 @@
 """Settings of every test: one thread, and the same examples on every run."""
 
 import os
-from collections.abc import Generator
+import resource
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 
 import pytest
 from hypothesis import settings
@@ -30,3 +32,20 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
                 why = f"this machine stood still for {stalls.worst:.2f} s meanwhile; {type(error).__name__}: {error}"
                 pytest.skip(why.splitlines()[0])
             raise
+
+
+@pytest.fixture
+def full_disk():
+    """`with full_disk(room)`: no file grows beyond so many bytes, as where the disk ends; errno is EFBIG."""
+
+    @contextmanager
+    def limited(room: int) -> Iterator[None]:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        # Python ignores the signal that comes with it.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return limited

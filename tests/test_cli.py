@@ -1,5 +1,6 @@
 """The command line: what it answers, with which exit code, and what it must not load to do so."""
 
+import errno
 import logging
 import os
 import signal
@@ -11,7 +12,7 @@ import pytest
 
 from resync_robot import __version__, cli
 from resync_robot.calibrate import CalibrateConfig
-from resync_robot.core.errors import ConfigError
+from resync_robot.core.errors import ConfigError, DiskError
 from resync_robot.doctor import DoctorConfig
 from resync_robot.evaluate import EvaluateConfig
 from resync_robot.review import ReviewConfig
@@ -261,6 +262,48 @@ def test_a_reader_that_has_left_ends_the_program_quietly(argument: str, stderr_t
 @pytest.mark.parametrize(("stderr_too", "unbuffered"), [(False, False), (True, False), (False, True)])
 def test_a_command_that_reports_to_nobody_ends_quietly(does: str, stderr_too: bool, unbuffered: bool) -> None:
     assert unread(doctor_that(does), stderr_too, unbuffered) == (141, "")
+
+
+def printed_to(where: str, code: str, **environment: str) -> tuple[int, bytes]:
+    """Exit code and error output of Python code whose standard output is that file, with these variables set."""
+    with open(where, "wb") as output:  # noqa: PTH123 - of a name, not of a path
+        outcome = subprocess.run(
+            [sys.executable, "-c", code],
+            stdout=output,
+            stderr=subprocess.PIPE,
+            env=os.environ | environment,
+            timeout=120,
+        )
+    return outcome.returncode, outcome.stderr
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("does", [REPORTS, PRINTS, "sys.exit(cli._run(['--help']))"])
+def test_output_to_a_full_disk_is_one_message_and_code_3(does: str, unbuffered: str) -> None:
+    code, shown = printed_to("/dev/full", doctor_that(does), PYTHONUNBUFFERED=unbuffered)
+    assert code == 3
+    assert shown.startswith(b"error: cannot write standard output\n  -> ") and shown.count(b"\n") == 2
+
+
+def test_a_full_disk_is_one_message_and_code_3(given, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for error in (
+        OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "runs/a.json"),
+        DiskError("cannot write runs/a.json: No space left on device", "free some space"),
+    ):
+        given("doctor", error)
+        assert exit_code("doctor") == 3
+        shown = capsys.readouterr()
+        assert shown.err.startswith("error: cannot write runs/a.json: No space left on device\n  -> free some space")
+        assert shown.out == ""
+
+
+def test_every_sign_is_printed_in_every_encoding(tmp_path: Path) -> None:
+    helped = "import sys; from resync_robot.cli import main; sys.exit(main(['deploy', '--help']))"
+    said = doctor_that(r"from resync_robot.progress import say; say('\u25c0 \udcff'); print('\u2022')")
+    for code in (helped, said):
+        for encoding in ("ascii", "iso-8859-1", "utf-8"):
+            assert printed_to(str(tmp_path / "out"), code, PYTHONIOENCODING=encoding) == (0, b"")
+            assert (tmp_path / "out").stat().st_size > 0
 
 
 def test_a_defect_is_shown_though_nobody_reads_the_output() -> None:

@@ -137,6 +137,21 @@ def test_a_dry_run_looks_plans_records_and_moves_no_skill(
     assert next(episode.plans()).steps == ("Pick(r, b1)", "Insert(r, b1, b0)")
 
 
+def test_a_recording_that_the_disk_cut_short_is_called_incomplete_and_ends_the_run(
+    renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], full_disk
+) -> None:
+    args = ["--library", str(library), "--perception", "oracle", "--dry-run", "--episodes", "2"]
+    for most, found in ((4000, "Recording incomplete: "), (100, "Nothing of it was recorded.")):
+        out = tmp_path / str(most)
+        with full_disk(most):
+            code = cli.main(["deploy", *args, "--out", str(out)])
+        assert code == 3
+        shown = capsys.readouterr()
+        assert found in shown.out and "Recording: " not in shown.out and "Episode 2" not in shown.out
+        assert "File too large" in shown.err and "Traceback" not in shown.err
+        assert len(episodes(out)) == (most > 100)
+
+
 def slow_rig(folder: Path) -> Path:
     """The emulated rig, whose motions nobody has confirmed."""
     path, text = folder / "slow.toml", Path(RIG).read_text()

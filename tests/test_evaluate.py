@@ -149,7 +149,7 @@ def library(tmp_path: Path) -> Path:
         (("--resume", "--json", "nowhere.json"), "there is no nowhere.json to go on with"),
         (("--seeds", "0", "-3"), "--seeds is -3"),
         (("--library", "/nowhere"), "no library folder /nowhere"),
-        (("--json", "/dev/null/rows.json"), "cannot write /dev/null/rows.json"),
+        (("--json", "/dev/null/rows.json"), "cannot write --json /dev/null/rows.json"),
         (("--skills", "camera"), "--skills camera needs cameras"),
         (("--skills", "camera", "--perception", "camera", "--workers", "1"), "no camera policy for 'Recover'"),
     ],
@@ -169,6 +169,13 @@ def test_bad_input_is_one_error_with_code_2(
     assert shown.err.startswith("error: ") and word in shown.err
     assert "Traceback" not in shown.err
     assert shown.out == ""
+
+
+def test_a_file_that_is_no_report_is_not_replaced(library: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    manifest, before = library / "library.json", (library / "library.json").read_bytes()
+    assert cli.main(["evaluate", "--library", str(library), "--json", str(manifest)]) == 2
+    assert "exists and is not a report" in capsys.readouterr().err
+    assert manifest.read_bytes() == before
 
 
 def damage(library: Path, how: str) -> str:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from importlib.resources import files
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -163,6 +165,25 @@ def test_the_report_counts_and_shows_whether_ellipses_are_honest(tmp_path: Path)
 def test_bad_input_is_one_message(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["evaluate", "--perception-only", *words]) == cli.BAD_INPUT
     assert message in capsys.readouterr().err
+
+
+def test_no_file_of_somebody_else_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nor by the picture, whose name nobody gave."""
+    rig = tmp_path / "rig.toml"
+    rig.write_bytes(files("resync_robot.core").joinpath("simulated_rig.toml").read_bytes())
+    (tmp_path / "notes.json").write_text('{"mine": 1}')
+    cv2.imwrite(str(tmp_path / "plot.png"), np.zeros((9, 9, 3), np.uint8))
+    before = {p: p.read_bytes() for p in tmp_path.iterdir()}
+    for name, word in (
+        ("rig.toml", "is the file that is read"),
+        ("notes.json", "exists and is not a report"),
+        ("plot.json", "plot.png exists and is not a figure"),
+        ("new.png", "has the name of the picture beside it"),
+    ):
+        words = ["--perception-only", "--rig", str(rig), "--json", str(tmp_path / name)]
+        assert cli.main(["evaluate", *words]) == cli.BAD_INPUT
+        assert word in capsys.readouterr().err
+    assert {p: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
 def test_scenes_are_scanned_and_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

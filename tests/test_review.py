@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -12,7 +13,7 @@ import pytest
 from resync_robot.core import spatial
 from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
-from resync_robot.core.errors import EpisodeError
+from resync_robot.core.errors import ConfigError, EpisodeError, ResyncError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
@@ -256,8 +257,53 @@ def test_without_a_display_the_message_says_what_to_do(episode, monkeypatch):
 def test_unusable_files(tmp_path, episode):
     with pytest.raises(EpisodeError, match="cannot read"):
         review(ReviewConfig(episode=tmp_path / "none.mcap", save=tmp_path / "x.rrd"))
-    with pytest.raises(EpisodeError, match="cannot write"):
+    with pytest.raises(ConfigError, match="cannot write --save"):
         review(ReviewConfig(episode=episode, save=episode / "x.rrd"))
+
+
+@pytest.mark.parametrize("option", ["save", "mend"])
+def test_neither_the_recording_nor_another_file_is_replaced(option, episode, tmp_path):
+    mine = tmp_path / "mine.mcap"
+    mine.write_bytes(episode.read_bytes())
+    (tmp_path / "link.rrd").symlink_to(mine)
+    (tmp_path / "notes.rrd").write_text("mine")
+    other = tmp_path / "other.mcap"
+    other.write_bytes(episode.read_bytes())
+    for name, word in (("mine.mcap", "is the file that is read"), ("link.rrd", "is the file that is read"),
+                       ("notes.rrd", "exists and is not"), ("other.mcap", "exists")):  # fmt: skip
+        with pytest.raises(ResyncError, match=word):
+            review(ReviewConfig(episode=mine, **{option: tmp_path / name}))
+    assert mine.read_bytes() == other.read_bytes() == episode.read_bytes()
+    assert (tmp_path / "notes.rrd").read_text() == "mine" and len(list(tmp_path.iterdir())) == 4
+
+
+@pytest.mark.parametrize("option", ["--save", "--mend"])
+def test_a_full_disk_leaves_nothing_half_written(option, episode, tmp_path):
+    """The limit on a file's size stands for the end of the disk."""
+    out, before = tmp_path / "out", b"RRF2 of an earlier time"
+    if option == "--save":
+        out.write_bytes(before)
+    code = (
+        "import resource, signal, sys; from resync_robot.cli import main\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, -1))\n"
+        f"sys.exit(main(['review', {str(episode)!r}, {option!r}, {str(out)!r}]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 3 and done.stderr.startswith(
+        f"error: cannot write {out}: File too large\n  -> free space"
+    )
+    assert [p.read_bytes() for p in tmp_path.iterdir()] == ([before] if option == "--save" else [])
+
+
+def test_a_name_that_the_locale_cannot_spell_makes_one_file(episode, tmp_path):
+    """Rerun's own writer would take the bytes of a name for UTF-8."""
+    code = "import sys; from resync_robot.cli import main; sys.exit(main(['review', *sys.argv[1:]]))"
+    name = os.fsencode(tmp_path) + b"/gr\xf6\xdfe.rrd"
+    environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-c", code, str(episode), "--save", name]
+    done = subprocess.run(command, capture_output=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert os.listdir(os.fsencode(tmp_path)) == [b"gr\xf6\xdfe.rrd"]  # noqa: PTH208 - bytes
 
 
 def test_importing_review_is_cheap():

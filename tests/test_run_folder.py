@@ -12,7 +12,7 @@ import pytest
 from resync_robot import run_folder
 from resync_robot.core.errors import ConfigError, TrainingError
 from resync_robot.core.rig import load_rig
-from resync_robot.run_folder import RunFolder, check_writable, default_folder, latest_folder, read_json, write_json
+from resync_robot.run_folder import RunFolder, default_folder, latest_folder, read_json, write_json
 
 
 @pytest.fixture
@@ -65,6 +65,8 @@ def test_json_is_replaced_whole(tmp_path: Path) -> None:
 def test_no_file_is_nothing_and_a_torn_one_an_error(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     assert read_json(path) is None
+    path.write_bytes(b'\xef\xbb\xbf{"marked": "gr\xc3\xb6\xc3\x9fe"}')
+    assert read_json(path) == {"marked": "größe"}
     path.write_text('{"torn": ')
     with pytest.raises(ConfigError, match=r"a\.json is no valid JSON"):
         read_json(path)
@@ -75,16 +77,6 @@ def test_a_folder_that_cannot_be_written_is_a_clear_error(tmp_path: Path) -> Non
     with pytest.raises(ConfigError, match=r"cannot write to .*file/run") as caught:
         RunFolder(tmp_path / "file" / "run")
     assert "--out" in caught.value.fix
-
-
-def test_a_result_file_is_checked_before_the_work(tmp_path: Path) -> None:
-    check_writable(tmp_path / "deep" / "rows.json")
-    assert not (tmp_path / "deep" / "rows.json").exists()
-    assert list((tmp_path / "deep").iterdir()) == []
-    (tmp_path / "file").touch()
-    for bad in (tmp_path / "file" / "rows.json", tmp_path):
-        with pytest.raises(ConfigError, match="cannot write"):
-            check_writable(bad)
 
 
 def test_default_folders_are_dated_and_never_taken(here: Path) -> None:
@@ -134,6 +126,18 @@ def test_a_run_keeps_the_rig_that_it_began_with(tmp_path: Path) -> None:
     assert folder.rig.name == "mine"
     mine.unlink()
     assert RunFolder(tmp_path / "run").rig.name == "mine"
+
+
+def test_a_rig_file_that_lies_there_is_not_replaced(tmp_path: Path) -> None:
+    mine, there = other_rig(tmp_path), tmp_path / "run" / "rig.toml"
+    folder = RunFolder(tmp_path / "run")
+    there.write_text("# somebody's own")
+    with pytest.raises(ConfigError, match=r"rig.toml exists, and is another"):
+        folder.keep_rig(mine)
+    assert there.read_text() == "# somebody's own"
+    there.write_bytes(mine.read_bytes())
+    folder.keep_rig(mine)
+    assert folder.rig.name == "mine"
 
 
 def test_a_run_is_not_resumed_with_another_rig(tmp_path: Path) -> None:

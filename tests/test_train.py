@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -37,6 +38,7 @@ from tests.libraries import DOMAIN
         (("--resume", "--out", "strange"), "is not the config of a run"),
         (("--resume", "--out", "torn"), "no valid JSON"),
         (("--out", "taken"), "taken already holds a run"),
+        (("--out", "thesis"), "thesis holds other files, such as library"),
     ],
 )
 def test_bad_input_is_one_error_with_code_2_and_changes_nothing(
@@ -51,6 +53,7 @@ def test_bad_input_is_one_error_with_code_2_and_changes_nothing(
     for name, text in (("taken", "{}"), ("strange", "[1]"), ("torn", '{"seed": ')):
         (tmp_path / name).mkdir()
         (tmp_path / name / "config.json").write_text(text)
+    (tmp_path / "thesis" / "library").mkdir(parents=True)
     before = sorted(tmp_path.rglob("*"))
     assert cli.main(["train-sim", *args]) == 2
     shown = capsys.readouterr()
@@ -93,6 +96,23 @@ def test_a_run_keeps_its_settings_when_it_is_resumed(tmp_path: Path, ran: list[t
     assert [settings for settings, _ in ran] == [RunSettings(preset="smoke", seed=7, concepts="paper")] * 2
     assert [workers for _, workers in ran] == [2, 1]
     assert json.loads((tmp_path / "run" / "config.json").read_text())["seed"] == 7
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), RuntimeError("No space left on device (os error 28)")]
+)
+def test_a_full_disk_is_one_message_that_says_how_to_go_on(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(train, "_run", full)
+    out = tmp_path / "run"
+    assert cli.main(["train-sim", "--skills", "state", "--out", str(out)]) == 3
+    shown = capsys.readouterr()
+    assert shown.err.startswith("error: cannot write ") and "No space left on device" in shown.err
+    assert f"train-sim --resume --out {out}" in shown.err
 
 
 def test_resume_without_a_folder_takes_the_latest_run(

@@ -43,6 +43,7 @@ from mcap.records import Channel, Message
 
 from resync_robot.core import ros_messages
 from resync_robot.core.errors import EpisodeError, ResyncError
+from resync_robot.core.files import unwritable
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.mcap_file import WholeRecords, read_whole, write_whole
 from resync_robot.core.rig import Rig
@@ -238,7 +239,7 @@ def mend_episode(path: Path, out: Path) -> Episode:
     try:
         write_whole(whole.records, out)
     except OSError as error:
-        raise EpisodeError(f"cannot write {out}: {error.strerror}", "give another file with --mend") from None
+        raise unwritable(out, error, "give another file with --mend", EpisodeError) from None
     return found
 
 

@@ -26,7 +26,8 @@ from mcap.writer import CompressionType, Writer
 from resync_robot.core import ros_messages
 from resync_robot.core.episode import FORMAT, POINT, EpisodeMeta, EventKind, Timing, plain
 from resync_robot.core.episode_schemas import SCHEMAS
-from resync_robot.core.errors import EpisodeError
+from resync_robot.core.errors import DiskError, EpisodeError, ResyncError
+from resync_robot.core.files import disk_fault, unwritable
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.machines import ARMS
 from resync_robot.core.mcap_file import CHUNK_BYTES
@@ -42,7 +43,8 @@ _log = logging.getLogger(__name__)
 
 class EpisodeWriter:
     """Writes one episode. Recording must not stop a robot: every method returns at once, and after the first failed
-    write the error is logged once, kept in `error`, and the rest is dropped.
+    write the error is logged once, kept in `error`, and the rest is dropped. Whoever ends the episode looks at `error`,
+    after `close`: the file then holds only what came before it.
 
     Args:
         path: a file that does not exist yet; its folder is made.
@@ -53,11 +55,12 @@ class EpisodeWriter:
 
     Raises:
         EpisodeError: the file exists or cannot be created. Raised at once, before anything moves.
+        DiskError: the same, where the disk is to blame.
     """
 
     def __init__(self, path: Path, meta: EpisodeMeta, begin: float = 0.0) -> None:
         self.path, self._begin = path, begin
-        self.error: EpisodeError | None = None
+        self.error: ResyncError | None = None
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._latest, self._last_flush = 0.0, -math.inf
@@ -67,8 +70,8 @@ class EpisodeWriter:
             self._file = path.open("xb")
         except OSError as error:
             if not path.is_file():
-                raise EpisodeError(
-                    f"cannot write the recording {path}: {error.strerror}", "give another folder"
+                raise unwritable(
+                    f"the recording {path}", error, "give another folder with --out", EpisodeError
                 ) from None
             raise EpisodeError(
                 f"{path} exists already; recordings are never overwritten", "give another name"
@@ -263,6 +266,9 @@ class EpisodeWriter:
             self._file.close()
         except OSError as error:
             self._fail(error)
+        if self.error is not None and self._last_flush == -math.inf:
+            # Nothing of it can be read.
+            self.path.unlink(missing_ok=True)
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:
@@ -339,5 +345,7 @@ class EpisodeWriter:
     def _fail(self, error: Exception) -> None:
         if self.error is not None:
             return
-        self.error = EpisodeError(f"the recording {self.path} stopped: {error}", "free disk space, or record elsewhere")
+        kind = DiskError if disk_fault(error) else EpisodeError
+        why = (isinstance(error, OSError) and error.strerror) or error
+        self.error = kind(f"the recording {self.path} stopped: {why}", "free disk space, or record elsewhere")
         _log.error("%s", self.error)

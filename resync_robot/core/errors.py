@@ -28,6 +28,10 @@ class ConfigError(ResyncError):
     """A rig, preset, or command line value that cannot be used."""
 
 
+class DiskError(ResyncError):
+    """A disk that is full, failing or read-only: a fault of the machine, with which the CLI exits with code 3."""
+
+
 class UnknownNameError(ResyncError):
     """A domain, scenario, object, predicate, skill or camera that does not exist.
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +29,7 @@ from safetensors.numpy import save as save_tensors
 
 from resync_robot.core.damage import PULL, is_pointer
 from resync_robot.core.errors import LibraryError
+from resync_robot.core.files import unwritable, whole_folder
 
 VERSION = 2
 """2: a classifier sees all of the outside of a box as one."""
@@ -70,11 +70,14 @@ class Library:
 
 
 def save_library(library: Library, folder: Path) -> None:
-    """Write beside `folder` and swap, so that a kill leaves the old library or the new one.
+    """Write beside `folder` and swap, so that a kill or a full disk leaves the old library or the new one.
 
     Raises:
-        LibraryError: the folder cannot be written.
+        LibraryError: the folder cannot be written, or is there and is no library.
+        DiskError: there is no room for it.
     """
+    if folder.exists() and not (folder / "library.json").is_file() and any(folder.iterdir()):
+        raise LibraryError(f"{folder} exists and is no library; it is left as it is", "give another folder with --out")
     contents = _files(library)
     manifest = {
         "version": VERSION,
@@ -83,23 +86,15 @@ def save_library(library: Library, folder: Path) -> None:
         "content_hash": library.content_hash,
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())},
     }
-    beside = folder.with_name(folder.name + ".part")
     try:
-        shutil.rmtree(beside, ignore_errors=True)
-        for name, data in {**contents, "library.json": _json(manifest)}.items():
-            path = beside / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
-        if folder.exists():
-            old = folder.with_name(folder.name + ".old")
-            shutil.rmtree(old, ignore_errors=True)
-            folder.rename(old)
-            beside.rename(folder)
-            shutil.rmtree(old, ignore_errors=True)
-        else:
-            beside.rename(folder)
+        with whole_folder(folder) as beside:
+            for name, data in {**contents, "library.json": _json(manifest)}.items():
+                path = beside / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(data)
     except OSError as error:
-        raise LibraryError(f"cannot write the library {folder}: {error}", "give another folder with --out") from None
+        fix = "give another folder with --out"
+        raise unwritable(f"the library {folder}", error, fix, LibraryError) from None
 
 
 def load_library(folder: Path) -> Library:

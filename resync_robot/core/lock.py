@@ -16,6 +16,7 @@ from datetime import datetime
 from pathlib import Path
 
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.files import unwritable
 
 _log = logging.getLogger(__name__)
 
@@ -41,13 +42,14 @@ def sole_writer(lock: Path, of: Path, otherwise: str) -> Iterator[None]:
 
     Raises:
         ConfigError: another process holds it (the message names that), or the file cannot be made.
+        DiskError: the same, where the disk is to blame.
     """
     try:
         handle = _locked(lock)
     except BlockingIOError:
         raise ConfigError(f"{of} is being written by {_holder(lock)}", f"{_wait(lock)}, or {otherwise}") from None
     except OSError as error:
-        raise ConfigError(f"cannot lock {lock}: {error.strerror}", otherwise) from None
+        raise unwritable(f"{lock} to lock it", error, otherwise) from None
     if handle is None:
         _log.warning("%s: its file system has no locks; make sure that nothing else writes there", of)
         yield

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationLimits, CalibrationRecord, read_limits, read_record
 from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.core.files import read_text
 from resync_robot.core.kinematics import Kinematics
 from resync_robot.core.machines import ARMS, GRIPPERS, ArmModel, GripperModel
 from resync_robot.core.ranges import RANGES, read_number
@@ -192,17 +193,21 @@ class Rig:
 def load_rig(path: Path | None = None) -> Rig:
     """Read a rig file; without a path, the rig that the simulation assumes.
 
+    It is UTF-8, with or without a byte order mark. Neither that nor another system's line ends change its hash.
+
     Raises:
         ConfigError: the file is missing, is no TOML, or has a missing, extra, mistyped or implausible field.
     """
     if path is None:
-        text, where = files("resync_robot.core").joinpath("simulated_rig.toml").read_text(), "the built-in rig"
+        text, where = files("resync_robot.core").joinpath("simulated_rig.toml").read_text("utf-8"), "the built-in rig"
     else:
         where = str(path)
         try:
-            text = path.read_text()
-        except (OSError, UnicodeDecodeError) as error:
+            text = read_text(path)
+        except OSError as error:
             raise ConfigError(f"cannot read the rig file {path}: {error}", "give --rig FILE.toml") from None
+        except UnicodeDecodeError as error:
+            raise ConfigError(f"cannot read the rig file {path}: {error}", "save it as UTF-8") from None
     try:
         data = tomllib.loads(text)
     except ValueError as error:

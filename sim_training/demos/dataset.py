@@ -8,9 +8,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager, redirect_stderr, suppress
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from jaxtyping import UInt8
 
 from resync_robot.core.damage import check_shape, reading
 from resync_robot.core.errors import TrainingError
-from resync_robot.core.files import read_text, write_text
+from resync_robot.core.files import read_text, whole_folder, write_text
 from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ, STATE_NAMES, VIEWS
 from resync_robot.learning.demonstrations import Demonstrations
 from sim_training.demos.rollouts import Segment
@@ -60,29 +59,28 @@ def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Map
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    beside = folder.with_name(folder.name + ".part")
-    shutil.rmtree(beside, ignore_errors=True)
-    beside.parent.mkdir(parents=True, exist_ok=True)
-    if segments:
-        dataset = LeRobotDataset.create(
-            repo_id="local/recoveries",
-            fps=int(RATE_HZ),
-            features=features(segments[0].pictures.shape[2]),
-            root=beside,
-            use_videos=True,
-            vcodec=CODEC,
-            streaming_encoding=True,
-            encoder_queue_maxsize=QUEUE,
-            video_backend="pyav",
-        )
-        with _quiet():
-            for segment in segments:
-                _add(dataset, segment, task)
-            dataset.finalize()
-    else:
-        beside.mkdir()
-    write_text(beside / STAMP, _json({"version": VERSION, "files": _hashes(beside), **stamp}))
-    beside.replace(folder)
+    with whole_folder(folder) as beside:
+        if segments:
+            dataset = LeRobotDataset.create(
+                repo_id="local/recoveries",
+                fps=int(RATE_HZ),
+                features=features(segments[0].pictures.shape[2]),
+                root=beside,
+                use_videos=True,
+                vcodec=CODEC,
+                streaming_encoding=True,
+                encoder_queue_maxsize=QUEUE,
+                video_backend="pyav",
+            )
+            with _quiet():
+                try:
+                    for segment in segments:
+                        _add(dataset, segment, task)
+                    dataset.finalize()
+                except BaseException:
+                    _abandon(dataset)
+                    raise
+        write_text(beside / STAMP, _json({"version": VERSION, "files": _hashes(beside), **stamp}))
 
 
 def _json(data: Mapping[str, Any]) -> str:
@@ -124,6 +122,18 @@ def _add(dataset: Any, segment: Segment, task: str) -> None:
     dataset.save_episode()
 
 
+def _abandon(dataset: Any) -> None:
+    """After a failure: LeRobot's destructors would try again, later, make the folder anew, and complain."""
+    with suppress(Exception):
+        dataset.clear_episode_buffer()
+    dataset.meta.metadata_buffer.clear()
+    for owner in (dataset, dataset.meta):
+        if owner.writer is not None:
+            with suppress(Exception):
+                owner.writer.close()
+            owner.writer.is_open = False
+
+
 def merge_shards(shards: Sequence[Path], folder: Path) -> None:
     """One LeRobot dataset of all shards, for whoever wants to train or look elsewhere; whole, or not there at all.
 
@@ -135,14 +145,11 @@ def merge_shards(shards: Sequence[Path], folder: Path) -> None:
     for shard in shards:
         check_shard(shard)
     parts = [s for s in shards if (s / "meta" / "info.json").exists()]
-    beside = folder.with_name(folder.name + ".part")
-    shutil.rmtree(beside, ignore_errors=True)
-    with _quiet():
-        aggregate_datasets(["local/recoveries"] * len(parts), "local/recoveries", roots=parts, aggr_root=beside)
-    stamps = [json.loads(read_text(s / STAMP)) for s in shards]
-    write_text(beside / STAMP, _json({"version": VERSION, "shards": stamps}))
-    shutil.rmtree(folder, ignore_errors=True)
-    beside.replace(folder)
+    with whole_folder(folder) as beside:
+        with _quiet():
+            aggregate_datasets(["local/recoveries"] * len(parts), "local/recoveries", roots=parts, aggr_root=beside)
+        stamps = [json.loads(read_text(s / STAMP)) for s in shards]
+        write_text(beside / STAMP, _json({"version": VERSION, "shards": stamps}))
 
 
 def contact_sheet(frames: Demonstrations, rows: int = 12, columns: int = 5) -> UInt8[np.ndarray, "h w 3"]:

@@ -55,6 +55,20 @@ def test_a_pdf_is_an_a4_page_of_lines(tmp_path: Path) -> None:
     assert (width, height) == pytest.approx((210 / 25.4 * 72, 297 / 25.4 * 72), abs=0.1)
 
 
+@pytest.mark.parametrize("suffix", [".pdf", ".png"])
+def test_only_a_board_is_replaced(suffix: str, tmp_path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    path = tmp_path / f"board{suffix}"
+    for _ in range(2):
+        write_board(BoardSpec(columns=4, rows=3), path, 60)
+    Figure().savefig(path)
+    before = path.read_bytes()
+    with pytest.raises(ConfigError, match="exists and is not a board"):
+        write_board(BoardSpec(), path, 60)
+    assert path.read_bytes() == before
+
+
 def test_a_board_larger_than_a_sheet_gets_a_larger_page(tmp_path: Path) -> None:
     spec = BoardSpec(columns=7, rows=5, square=0.08, marker=0.06)
     write_board(spec, tmp_path / "board.png", 60)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import tempfile
 from dataclasses import replace
 from importlib.resources import files
@@ -15,7 +17,7 @@ from hypothesis import strategies as st
 from calibration.rig_file import update_hues, update_rig
 from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationRecord
-from resync_robot.core.errors import ConfigError
+from resync_robot.core.errors import ConfigError, DiskError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.sensor_noise import SensorNoise
 from tests.calibration.synthetic import jolt
@@ -60,7 +62,42 @@ def test_a_second_calibration_takes_the_place_of_the_first(tmp_path: Path) -> No
     update_rig(path, path, "side", {"fx": 310.25}, None)
     assert load_rig(path).camera("side").fx == 310.25
     assert load_rig(path).camera("wrist").calibration == later
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["rig.toml", "rig.toml.bak"]
+    assert (tmp_path / "rig.toml.bak").read_text() == first, "no copy is lost to a later one"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["rig.toml", "rig.toml.bak", "rig.toml.bak-2"]
+
+
+def test_a_full_disk_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "rig.toml"
+    update_rig(None, path, "wrist", {}, RECORD)
+    before = path.read_bytes()
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    for writer in ("write_text", "write_bytes"):
+        with monkeypatch.context() as m:
+            m.setattr(Path, writer, full)
+            with pytest.raises(DiskError, match="No space left"):
+                update_rig(path, path, "wrist", {"pose": np.eye(4)}, RECORD)
+        assert [p.name for p in tmp_path.iterdir()] == ["rig.toml"] and path.read_bytes() == before
+
+
+def test_a_link_stays_one(tmp_path: Path) -> None:
+    (tmp_path / "lab").mkdir()
+    real, link = tmp_path / "lab" / "arm.toml", tmp_path / "rig.toml"
+    real.write_text(BUILT_IN)
+    link.symlink_to(real)
+    update_rig(link, link, "wrist", {}, RECORD)
+    assert link.is_symlink() and load_rig(real).camera("wrist").calibration == RECORD
+    assert (tmp_path / "rig.toml.bak").read_text() == BUILT_IN
+
+
+def test_a_comment_of_any_signs_stays(tmp_path: Path) -> None:
+    """A mark at the beginning, and signs at which other programs break a line."""
+    path = tmp_path / "rig.toml"
+    path.write_bytes(("\ufeff# Prüfstand\u2028Süd\x85\n" + BUILT_IN).encode())
+    update_rig(path, path, "wrist", {}, RECORD)
+    assert path.read_text(encoding="utf-8").split("\n")[0] == "# Prüfstand\u2028Süd\x85"
 
 
 def test_noise_and_calibration_live_beside_each_other(tmp_path: Path) -> None:

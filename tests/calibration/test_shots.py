@@ -72,7 +72,7 @@ def test_the_list_is_whole_after_every_shot(tmp_path: Path) -> None:
     for i in range(3):
         folder.add(Shot(f"{i}.png", EMPTY, np.zeros(6), Rejected("dark")))
         assert len(json.loads((tmp_path / LIST).read_text())["shots"]) == i + 1
-        assert not list(tmp_path.glob("*.part"))
+        assert not list(tmp_path.glob(".*"))
 
 
 def test_pictures_are_never_overwritten(tmp_path: Path) -> None:
@@ -80,6 +80,15 @@ def test_pictures_are_never_overwritten(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="holds pictures already"):
         ShotFolder(tmp_path, "wrist", SPEC)
     assert len(read_shots(tmp_path, "wrist", judge())) == 2
+
+
+def test_a_list_from_elsewhere_names_no_picture_out_of_its_folder(tmp_path: Path) -> None:
+    """Overlays are named like the pictures."""
+    kept(tmp_path)
+    content = json.loads((tmp_path / LIST).read_text())
+    content["shots"][0]["file"] = "../" + content["shots"][0]["file"]
+    (tmp_path / LIST).write_text(json.dumps(content))
+    assert "/" not in read_shots(tmp_path, "wrist", judge())[0].name
 
 
 def broken(path: Path, **change: object) -> str:

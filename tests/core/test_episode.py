@@ -349,6 +349,33 @@ def test_a_failing_write_is_reported_once_and_never_raised(tmp_path, caplog):
     assert episode.damage is not None and len(list(episode.tip_force())) >= 1
 
 
+@pytest.mark.parametrize("room", [0, 3_000])
+def test_a_full_disk_keeps_what_can_be_read_and_nothing_else(room, tmp_path):
+    path = tmp_path / "e.mcap"
+    program = textwrap.dedent(f"""
+        import resource, signal
+        from pathlib import Path
+        import numpy as np
+        from resync_robot.core.episode import EpisodeMeta
+        from resync_robot.core.episode_writer import EpisodeWriter
+        from resync_robot.core.errors import DiskError
+        from resync_robot.core.rig import load_rig
+        meta = EpisodeMeta.of(load_rig(), library_hash="", domain="", scenario="", goal="", seed=0, backend="sim")
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, -1))
+        with EpisodeWriter(Path({str(path)!r}), meta) as writer:
+            for k in range(2000):
+                writer.tip_force(k * 0.02, np.random.normal(size=3))
+        assert isinstance(writer.error, DiskError) and "File too large" in writer.error.what, writer.error
+    """)
+    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert path.exists() == (room > 0)
+    if room:
+        episode = read_episode(path)
+        assert episode.damage is not None and episode.meta.backend == "sim"
+
+
 def test_what_json_cannot_hold_is_reported_and_never_raised(tmp_path, caplog):
     with EpisodeWriter(tmp_path / "e.mcap", meta()) as writer:
         writer.event(0.0, EventKind.SCAN, "odd", thing=object())

@@ -1,9 +1,27 @@
+import errno
+import json
 import os
+import pickle
+from pathlib import Path
 
 import pytest
 
-from resync_robot.core.errors import ConfigError
-from resync_robot.core.files import MCAP, RRD, check_output, read_text, whole, write_text
+from resync_robot.core.errors import ConfigError, DiskError
+from resync_robot.core.files import (
+    FIGURE,
+    MCAP,
+    PNG,
+    REPORT,
+    RIG,
+    RRD,
+    check_output,
+    disk_fault,
+    read_text,
+    unwritable,
+    whole,
+    whole_folder,
+    write_text,
+)
 
 RRD_HEAD = b"RRF2" + bytes(20)
 
@@ -69,3 +87,105 @@ def test_new_files_obey_the_umask(tmp_path):
     finally:
         os.umask(before)
     assert (tmp_path / "f").stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "known"),
+    [
+        (REPORT, json.dumps({"provenance": {}, "rows": [], "summary": []}), True),
+        (REPORT, json.dumps({"rows": [], "notes": "of a person"}), False),
+        (REPORT, "[1, 2]", False),
+        (REPORT, "[" * 100_000, False),
+        (REPORT, "\x00", False),
+        (RIG, "\ufeffname = 'a'\ncameras = []\n[arm]\n[gripper]\n", True),
+        (RIG, "[project]\nname = 'pyproject'\n", False),
+        (RIG, "a recipe", False),
+    ],
+)
+def test_tables_are_known_by_their_names(kind, text, known, tmp_path):
+    path = tmp_path / "f"
+    path.write_text(text, encoding="utf-8")
+    if known:
+        check_output(path, kind)
+    else:
+        with pytest.raises(ConfigError, match="exists and is not"):
+            check_output(path, kind)
+    assert path.read_text(encoding="utf-8") == text
+
+
+def test_a_figure_of_ours_is_told_from_other_pictures(tmp_path):
+    from matplotlib.figure import Figure
+
+    from resync_robot.plots import save_figure
+
+    figure = Figure()
+    save_figure(figure, tmp_path / "ours.png")
+    figure.savefig(tmp_path / "theirs.png")
+    check_output(tmp_path / "ours.png", FIGURE)
+    check_output(tmp_path / "theirs.png", PNG)
+    with pytest.raises(ConfigError, match="not a figure that this program drew"):
+        check_output(tmp_path / "theirs.png", FIGURE)
+
+
+def test_a_result_file_is_checked_before_the_work(tmp_path):
+    check_output(tmp_path / "deep" / "rows.json", REPORT)
+    assert list((tmp_path / "deep").iterdir()) == []
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="cannot write --json"):
+        check_output(tmp_path / "file" / "rows.json", REPORT, option="--json")
+
+
+def test_a_write_protected_file_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "f").write_bytes(RRD_HEAD)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may write everything
+    with pytest.raises(ConfigError, match="write-protected"):
+        check_output(tmp_path / "f", RRD)
+
+
+def test_a_device_is_written_as_it_is():
+    device = Path(os.devnull)
+    check_output(device, REPORT)
+    write_text(device, "x")
+    assert device.exists() and not device.is_file()
+
+
+def test_a_full_disk_is_named_with_the_file(tmp_path):
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(OSError) as caught, whole(tmp_path / "f") as beside:
+        beside.write_text("half")
+        raise full
+    assert list(tmp_path.iterdir()) == []
+    fault = disk_fault(caught.value)
+    assert isinstance(fault, DiskError) and fault.what == f"cannot write {tmp_path / 'f'}: No space left on device"
+    assert str(pickle.loads(pickle.dumps(fault))) == str(fault)  # noqa: S301 - as it comes from a worker
+    assert isinstance(unwritable("f", full, "give another"), DiskError)
+
+
+def test_the_disk_is_found_behind_the_errors_of_libraries():
+    class RustError(Exception):
+        pass
+
+    words = RustError("Error while serializing: I/O error: No space left on device (os error 28)")
+    assert disk_fault(words) is not None
+    try:
+        try:
+            raise OSError(errno.EDQUOT, "over quota", "a.mp4")
+        except OSError as error:
+            raise RuntimeError("the encoder failed") from error
+    except RuntimeError as error:
+        assert "a.mp4" in disk_fault(error).what
+    for other in (ValueError("no"), OSError(errno.ENOENT, "no such file"), ConfigError("No space left on device")):
+        assert disk_fault(other) is None
+
+
+def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path):
+    folder = tmp_path / "folder"
+    for text in ("first", "second"):
+        with whole_folder(folder) as beside:
+            beside.mkdir()
+            (beside / "f").write_text(text)
+    with pytest.raises(RuntimeError), whole_folder(folder) as beside:
+        beside.mkdir()
+        (beside / "f").write_text("half")
+        raise RuntimeError
+    assert (folder / "f").read_text() == "second" and list(tmp_path.iterdir()) == [folder]

@@ -1,6 +1,8 @@
 """A library comes back as it was saved; any other folder is refused, and nothing in it can run."""
 
+import errno
 import json
+import os
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from resync_robot.core.errors import LibraryError
+from resync_robot.core.errors import DiskError, LibraryError
 from resync_robot.core.library import Library, Record, load_library, save_library
 
 LIBRARY = Library(
@@ -62,6 +64,26 @@ def test_the_content_hash_knows_the_camera_policy() -> None:
 def test_saving_again_replaces_and_leaves_no_rest(folder: Path) -> None:
     save_library(replace(LIBRARY, skills={}), folder)
     assert set(load_library(folder).skills) == set()
+    assert [p.name for p in folder.parent.iterdir()] == ["library"]
+
+
+def test_a_folder_that_is_no_library_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "library").mkdir()
+    (tmp_path / "library" / "thesis.tex").write_text("mine")
+    with pytest.raises(LibraryError, match="exists and is no library"):
+        save_library(LIBRARY, tmp_path / "library")
+    assert (tmp_path / "library" / "thesis.tex").read_text() == "mine"
+
+
+def test_a_full_disk_leaves_the_old_library(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, data: bytes) -> None:
+        if path.name == "library.json":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(DiskError, match="No space left"):
+        save_library(replace(LIBRARY, domain="other"), folder)
+    assert load_library(folder).domain == "test"
     assert [p.name for p in folder.parent.iterdir()] == ["library"]
 
 

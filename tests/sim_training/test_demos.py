@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from perception.cutout import cut_out
 from resync_robot.core import spatial
 from resync_robot.core.damage import AGAIN
 from resync_robot.core.errors import TrainingError
+from resync_robot.core.files import disk_fault
 from resync_robot.core.rig import load_rig
 from resync_robot.learning.camera_view import (
     BLOCK_NAMES,
@@ -278,6 +280,20 @@ def test_a_shard_comes_back_as_it_went(shard: Path) -> None:
     assert np.abs(found.pictures - pictures).mean() < 12, "video loses little"
     twice = dataset.read_shards([shard, shard])
     assert np.unique(twice.segment).tolist() == [0, 1, 2, 3]
+
+
+def test_a_full_disk_leaves_no_shard(shard: Path, tmp_path: Path, full_disk, capfd: pytest.CaptureFixture[str]) -> None:
+    for room in (500, 9000):
+        with pytest.raises(OSError) as caught, full_disk(room):
+            dataset.write_shard(tmp_path / "shard", [segment(5), segment(30)], "Recover", {})
+        assert disk_fault(caught.value).what == f"cannot write {tmp_path / 'shard'}: File too large"
+        with pytest.raises(Exception) as caught, full_disk(room):
+            dataset.merge_shards([shard, shard], tmp_path / "whole")
+        assert "File too large" in disk_fault(caught.value).what
+    del caught
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+    assert "Exception ignored" not in capfd.readouterr().err
 
 
 def test_a_shard_opens_in_stock_lerobot_and_shards_merge_into_one(shard: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from resync_robot.core.errors import LibraryError, UnknownNameError
+from resync_robot.core.errors import DiskError, LibraryError, UnknownNameError
 from sim_training.parallel import parallel_map
 
 
@@ -30,6 +31,22 @@ def times(context: int, item: int) -> int:
     if item < 0:
         raise UnknownNameError("number", str(item), ["0", "1"])
     return context * item
+
+
+class OfALibrary(Exception):
+    """It cannot be rebuilt from its message, so it does not survive the way to another process."""
+
+    def __init__(self, file: str, code: int) -> None:
+        super().__init__(f"{file}: {os.strerror(code)}")
+
+
+def write_to_a_full_disk(context: int, item: int) -> None:
+    raise OfALibrary("a.mp4", errno.ENOSPC)
+
+
+def test_a_full_disk_of_a_worker_is_one_of_ours() -> None:
+    with pytest.raises(DiskError, match="No space left"):
+        list(parallel_map(write_to_a_full_disk, [1], ten, 2))
 
 
 def process(context: int, item: int) -> int:
