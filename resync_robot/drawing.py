@@ -71,9 +71,12 @@ def _save(name: str, blueprint: rrb.Blueprint, draw: Callable[[rr.RecordingStrea
     recording = rr.RecordingStream(name)
     stream = recording.binary_stream()
     recording.send_blueprint(blueprint, make_active=False, make_default=True)
-    draw(recording)
-    data = stream.read()
-    recording.disconnect()
+    try:
+        draw(recording)
+    finally:
+        # What is left in there, Rerun complains about.
+        data = stream.read()
+        recording.disconnect()
     write_bytes(path, data or b"")
 
 
