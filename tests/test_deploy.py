@@ -388,10 +388,8 @@ def test_a_recording_is_run_over_by_the_same_executive(
     assert plans[0] == plans[1] != []
 
 
-def test_a_replay_of_a_recording_with_a_hole_ends_before_it(
-    tmp_path: Path, rig: Rig, capsys: pytest.CaptureFixture[str]
-) -> None:
-    meta = EpisodeMeta.of(rig, library_hash="", domain=DOMAIN, scenario="s1", goal="", seed=0, backend="sim")
+def test_a_replay_of_a_recording_with_a_hole_ends_before_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    meta = EpisodeMeta.of(load_rig(), library_hash="", domain=DOMAIN, scenario="s1", goal="", seed=0, backend="sim")
     path = tmp_path / "e.mcap"
     with EpisodeWriter(path, meta) as writer:
         for k in range(400):
