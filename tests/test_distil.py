@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,13 +14,15 @@ import pytest
 
 from resync_robot.core.damage import AGAIN
 from resync_robot.core.errors import TrainingError
+from resync_robot.core.files import write_bytes
 from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
-from resync_robot.distil import DistilPlan, distil, to_keep
+from resync_robot.distil import DistilPlan, _check_candidate, distil, to_keep
 from resync_robot.knowledge import shipped_library
 from resync_robot.learning.camera_view import GAPS, state_seen
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.run_folder import RunFolder
+from sim_training.demos.dataset import STAMP
 from sim_training.demos.recoveries import RenderedRecovery
 from sim_training.demos.starts import draw_start
 from sim_training.domains import find_domain
@@ -60,16 +63,15 @@ def test_it_leaves_a_policy_a_dataset_and_pictures_and_does_nothing_twice(tmp_pa
 def test_a_damaged_file_of_this_stage_is_one_message_and_can_be_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every file that it left, in every way; what is read only while it trains, with the last candidate removed."""
     run(tmp_path / "run")
-    last = f"student-{TINY.steps + TINY.round_steps:06d}"
-    drawn = {"dataset", "demonstrations.png", "distil.png"}
-    names = [n for n in files_of(tmp_path / "run") if n.parts[0] not in drawn]
-    shards = {n.parts[2] for n in names if n.parts[1] == "demonstrations"}
-    assert {n.parts[1] for n in names if n.parts[0] == "stages"} == {
-        *("demonstrations", "distil.csv", "distil.json", "distil.safetensors", f"student-{TINY.steps:06d}", last),
-    }
-    assert len(shards) == 2
+    students = [f"student-{step:06d}" for step in (TINY.steps, TINY.steps + TINY.round_steps)]
+    names = {n for n in files_of(tmp_path / "run") if n.parts[0] == "stages"}
+    files = [Path("stages", n) for n in ("distil.csv", "distil.json", "distil.safetensors")]
+    shards = [Path("stages", "demonstrations", f"turn-{i}-0000", STAMP) for i in range(2)]
+    # Every file of a shard, and of a student, has a test of its own.
+    inside = {n for n in names if n.parts[1] in students or n.parent in {s.parent for s in shards} or len(n.parts) > 4}
+    assert names - inside == set(files)
+    assert set(shards) < names
 
     def begin(*_: object, **__: object) -> None:
         raise ReachedError
@@ -80,39 +82,52 @@ def test_a_damaged_file_of_this_stage_is_one_message_and_can_be_removed(
         yield from ()
 
     monkeypatch.setattr("resync_robot.distil.parallel_map", work_on)
+    monkeypatch.setattr("resync_robot.distil._check_candidate", lambda *_: None)
     monkeypatch.setattr("policies.training.Trainer.run", begin)
     monkeypatch.setattr("sim_training.demos.dataset.merge_shards", lambda *_: None)
-    passed = []
-    for name in names:
-        # The other student is read in the same way; every file of a shard has a test of its own.
-        if name.parts[1] == f"student-{TINY.steps:06d}" or ("demonstrations" in name.parts and name.suffix != ".json"):
-            continue
+    for name in (*files, shards[0]):
         for how, spoil in DAMAGES.items():
-            if how == "unreadable" and os.geteuid() == 0:
+            if (how == "unreadable" and os.geteuid() == 0) or (name.suffix == ".csv" and how == "no bytes"):
                 continue
             folder = copy_of(tmp_path / "run", tmp_path / "copy")
-            while_training = name.name == "distil.safetensors" or "demonstrations" in name.parts
-            if while_training:
-                shutil.rmtree(folder / "stages" / last)
+            if name.suffix != ".csv" and name.name != "distil.json":
+                # It is read where the training is not finished.
+                shutil.rmtree(folder / "stages" / students[-1])
             before = (folder / name).read_bytes()
             spoil(folder / name)
             if not (folder / name).is_file() or (folder / name).read_bytes() != before:
-                with pytest.raises(Exception) as caught:
+                with pytest.raises(TrainingError) as caught:
                     run(folder)
-                if isinstance(caught.value, ReachedError):
+                assert caught.value.fix.endswith(AGAIN), (name, how)
+                path = folder / (name if name in files else name.parent)
+                assert str(path) in caught.value.what, (name, how)
+                # The advice holds.
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+                with suppress(ReachedError):
+                    run(folder)
+            shutil.rmtree(folder)
+
+
+@pytest.mark.slow
+def test_any_damage_to_any_file_of_a_student_is_named(tmp_path: Path) -> None:
+    domain = find_domain("cornered-insertion-s")
+    for name, data in load_library(shipped_library(domain.name)).policies[domain.recovery].items():
+        write_bytes(tmp_path / "student" / name, data)
+    _check_candidate(tmp_path / "student", load_rig())
+    passed = []
+    for name in files_of(tmp_path / "student"):
+        for how, spoil in DAMAGES.items():
+            if how == "unreadable" and os.geteuid() == 0:
+                continue
+            folder = copy_of(tmp_path / "student", tmp_path / "copy")
+            before = (folder / name).read_bytes()
+            spoil(folder / name)
+            if not (folder / name).is_file() or (folder / name).read_bytes() != before:
+                try:
+                    _check_candidate(folder, load_rig())
                     passed.append((str(name), how))
-                else:
-                    assert isinstance(caught.value, TrainingError), (name, how, caught.value)
-                    assert caught.value.fix.endswith(AGAIN)
-                    named = next(p for p in (name, *name.parents) if str(folder / p) in caught.value.what)
-                    assert len(named.parts) > 1, "the file, or the folder that is one thing"
-                    # The advice holds.
-                    path = folder / named
-                    shutil.rmtree(path) if path.is_dir() else path.unlink()
-                    try:
-                        run(folder)
-                    except ReachedError:
-                        pass
+                except TrainingError as error:
+                    assert str(folder) in error.what and error.fix.endswith(AGAIN), (name, how)
             shutil.rmtree(folder)
     assert passed == []
 

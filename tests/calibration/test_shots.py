@@ -105,6 +105,14 @@ def broken(path: Path, **change: object) -> str:
     return str(error.value)
 
 
+def test_of_two_that_begin_in_one_folder_at_once_one_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between its look and its first write the other has begun: only the system can tell them apart."""
+    monkeypatch.setattr(Path, "exists", lambda path: False)
+    ShotFolder(tmp_path, "wrist", SPEC)
+    with pytest.raises(ConfigError, match="holds pictures already"):
+        ShotFolder(tmp_path, "wrist", SPEC)
+
+
 @pytest.mark.parametrize(
     ("change", "word"),
     [
@@ -117,14 +125,6 @@ def broken(path: Path, **change: object) -> str:
         ({"file": "../../outside.png"}, "missing or no picture"),
     ],
 )
-def test_of_two_that_begin_in_one_folder_at_once_one_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Between its look and its first write the other has begun: only the system can tell them apart."""
-    monkeypatch.setattr(Path, "exists", lambda path: False)
-    ShotFolder(tmp_path, "wrist", SPEC)
-    with pytest.raises(ConfigError, match="holds pictures already"):
-        ShotFolder(tmp_path, "wrist", SPEC)
-
-
 def test_a_broken_list_is_one_error(change: dict, word: str, tmp_path: Path) -> None:
     kept(tmp_path / "a" / "views")
     (tmp_path / "outside.png").write_bytes((tmp_path / "a" / "views" / "wrist-000.png").read_bytes())
