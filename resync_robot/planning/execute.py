@@ -15,7 +15,7 @@ from resync_robot.core.errors import InterruptedMotionError, PlanningError, Unkn
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Operator
+from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator
 from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import Observation, World
 from resync_robot.planning.abstract import HOLDS, Abstraction
