@@ -267,8 +267,10 @@ def _read_losses(path: Path) -> list[tuple[float, float]]:
     if not path.exists():
         return []
     with reading(path):
-        rows = [line.split(",") for line in read_text(path).splitlines()]
-        return [(float(step), float(loss)) for step, loss, *_ in rows]
+        text = read_text(path)
+        if text and not text.endswith("\n"):
+            raise ValueError("its last line was cut off")
+        return [(float(step), float(loss)) for step, loss, *_ in (line.split(",") for line in text.splitlines())]
 
 
 class _Shares:
