@@ -156,10 +156,12 @@ def _run(argv: Sequence[str] | None) -> int:
 
 def refuse_empty(args: Sequence[str]) -> None:
     """No setting has an empty value; a path of no letters would be the current folder. Raises ConfigError."""
-    for before, arg in zip(["", *args], args, strict=False):
-        option, equals, value = arg.partition("=") if arg.startswith("--") else (before, "=", arg)
+    of = "the first word"
+    for arg in args:
+        option, equals, value = arg.partition("=") if arg.startswith("--") else (of, "=", arg)
         if equals and not value.strip():
-            raise ConfigError(f"{option or 'the first word'} is empty", "give it a value, or leave it out")
+            raise ConfigError(f"{option} is empty", "give it a value, or leave it out")
+        of = of if of.startswith("-") and not arg.startswith("-") else option if arg.startswith("-") else arg
 
 
 def gather(args: Sequence[str], option: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 import os
 import resource
+import signal
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 
@@ -14,6 +15,17 @@ from tests.stalls import MOST_S, LimitBrokenError, Stalls
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 settings.register_profile("resync", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("resync")
+
+
+def pytest_configure() -> None:
+    """Tests that were started in the background or by `nohup` ignore signals, and so do programs that they start."""
+    for number, handler in (
+        (signal.SIGINT, signal.default_int_handler),
+        (signal.SIGTERM, signal.SIG_DFL),
+        (signal.SIGHUP, signal.SIG_DFL),
+    ):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -7,6 +7,7 @@ import io
 import tomllib
 from dataclasses import replace
 from datetime import date, timedelta
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +80,7 @@ def stored(
         (("board", "--dpi", "5"), "--dpi is 5"),
         (("board", "--board.square", "32"), "lengths are in metres"),
         (("board", "--board.dictionary", "9x9"), "valid: 4x4_50"),
-        (("board", "--out", "/dev/null/board.pdf"), "cannot write /dev/null/board.pdf"),
+        (("board", "--out", "/dev/null/board.pdf"), "cannot write --out /dev/null/board.pdf: /dev/null is no folder"),
         (("hand-eye", "--camera", "back"), "unknown camera 'back' in the built-in rig"),
         (("hand-eye", "--backend", "ur7e"), "--backend ur7e needs the rig file"),
         (("check", "--live", "--backend", "ur7e"), "--rig, such as hardware/emulated.toml"),
@@ -103,7 +104,7 @@ def stored(
         (("noise", "--seed", "-3"), "--seed is -3"),
         (("hues", "--names", "b0", "--seed", "-3"), "--seed is -3"),
         (("hues", "--names", "b 0"), "has 'b 0', which is no name for a thing"),
-        (("hues", "--names", "b0", ""), "has '', which is no name for a thing"),
+        (("hues", "--names", "b0", ""), "--names is empty"),
         (("hues", "--names", "größe"), "use letters, digits, _ and -"),
         (("hues", "--names", "b0", "drawer"), "of the drawer 'drawer' only one colour is known"),
         (("check", "--camera", "back", "--live", "--poses", "0"), "--poses is 0"),
@@ -117,8 +118,11 @@ def stored(
         (("hues", "--names", "b0", "b0"), "has a name twice"),
         (("hues", "--names", "a", "b", "c", "d", "e"), "allowed: 1 to 4"),
         (("hues", "--names", "b0", "--rig", "absent.toml"), "absent.toml"),
-        (("hand-eye", "--write", "/dev/null/rig.toml"), "cannot write /dev/null/rig.toml"),
-        (("hand-eye", "--out", "/dev/null/run"), "cannot write /dev/null/run"),
+        (
+            ("hand-eye", "--write", "/dev/null/rig.toml"),
+            "cannot write --write /dev/null/rig.toml: /dev/null is no folder",
+        ),
+        (("hand-eye", "--out", "/dev/null/run"), "cannot write to /dev/null/run"),
         (("check", "--camera", "back"), "front, side, wrist"),
         (("check", "--live", "--rig", "absent.toml"), "absent.toml"),
         (("intrinsics", "--views", "nowhere"), "no pictures in nowhere"),
@@ -171,7 +175,7 @@ def test_a_rig_file_that_lies_there_is_not_replaced_by_the_built_in_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("rig.toml").write_text("mine")
+    mine = (resources.files("resync_robot.core") / "simulated_rig.toml").read_text("utf-8")
     for words in (
         ("hand-eye",),
         ("hand-eye", "--write", "rig.toml"),
@@ -179,9 +183,11 @@ def test_a_rig_file_that_lies_there_is_not_replaced_by_the_built_in_one(
         ("noise", "--write", "rig.toml"),
         ("hues", "--names", "b0", "--write", "rig.toml"),
     ):
-        assert run(*words) == 2
-        assert "give --rig rig.toml" in capsys.readouterr().err
-        assert Path("rig.toml").read_text() == "mine"
+        for content, word in ((mine, "give --rig rig.toml"), ("mine", "exists and is not a rig file")):
+            Path("rig.toml").write_text(content, encoding="utf-8")
+            assert run(*words) == 2
+            assert word in capsys.readouterr().err
+            assert Path("rig.toml").read_text(encoding="utf-8") == content
 
 
 def test_pictures_of_an_earlier_run_are_enough(

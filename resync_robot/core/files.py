@@ -243,7 +243,10 @@ def new_beside(path: Path) -> Iterator[Path]:
     Its folder is made. Raises OSError.
     """
     target = path.resolve() if path.is_symlink() else path
-    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise NotADirectoryError(errno.ENOTDIR, f"{target.parent} is no folder") from None
     # Two processes that write one file each have a name of their own; the last to finish wins. ASCII, for libraries
     # that write a name in another encoding than the locale's.
     beside = target.with_name(f".resync.{secrets.token_hex(4)}.part")

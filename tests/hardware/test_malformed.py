@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import struct
+import threading
 import time
 from contextlib import suppress
 
@@ -191,9 +192,12 @@ def test_ten_thousand_answers_of_a_link_that_is_none() -> None:
         b"null",
     )
     ready = 0
+    nothing_said = threading.Thread(target=list)
+    nothing_said.start()
     for _ in range(10_000):
         link = LinkProcess.__new__(LinkProcess)
         link.process = Talkative(nonsense(rng, words))  # type: ignore[assignment]
+        link._errors, link._last_error = nothing_said, ""
         answer = link._ask({})
         link.process.stdout.close()  # type: ignore[union-attr]
         ready += answer == {"ready": True}
