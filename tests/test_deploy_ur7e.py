@@ -83,7 +83,10 @@ def test_a_protective_stop_that_nobody_clears_ends_the_episode(tmp_path: Path, m
 
 
 def test_nobody_says_of_a_controller_that_is_gone_that_its_robot_has_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     out, begin = tmp_path / "run", Recorder.on_skill_start
     with emulators.lab_process(tmp_path) as (rig, process):
@@ -97,7 +100,8 @@ def test_nobody_says_of_a_controller_that_is_gone_that_its_robot_has_stopped(
         assert cli.main(["deploy", *words, "--episodes", "2"]) == 3
     shown = capfd.readouterr()
     assert "Traceback" not in shown.err and "has been stopped" not in shown.out + shown.err
-    assert "assume that it may still move" in shown.out and "assume that it may still move" in shown.err
+    assert Halt.UNKNOWN.value in shown.out
+    assert [r for r in caplog.records if r.name == "hardware.ur7e" and Halt.UNKNOWN.value in r.getMessage()]
     (path,) = out.glob("*.mcap")
     episode = read_episode(path)
     assert episode.damage is None
