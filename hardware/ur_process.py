@@ -72,6 +72,8 @@ class LinkProcess:
         if "error" in answer:
             self.close()
             reason = str(answer["error"])
+            if answer.get("started") is False and self._last_error:
+                reason = f"the link did not start ({self._last_error})"
             if "already in use" in reason or "IN_USE" in reason:
                 raise RobotError(
                     f"another program controls the robot: {reason}",
@@ -152,6 +154,5 @@ class LinkProcess:
                 _log.debug("ur-rtde: %s", text)
             if not data:
                 break
-        self._errors.join(0.1)
-        last = self._last_error or next((x for x in reversed(lines) if x), "it said nothing")
-        return {"error": f"the link did not start ({last})"}
+        last = next((x for x in reversed(lines) if x), "it said nothing")
+        return {"error": f"the link did not start ({last})", "started": False}
