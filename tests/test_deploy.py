@@ -57,7 +57,7 @@ def renderer() -> None:
         (("--goal", "Under(b1,b0)"), "unknown predicate 'Under'"),
         (("--goal", "On(b1)"), "ill-typed"),
         (("--goal", "on the block"), "cannot read the goal"),
-        (("--goal", ""), "names no atom"),
+        (("--goal", ""), "--goal is empty"),
         (("--goal", "Holding(r,b0), Holding(r,b1)"), "no plan reaches"),
         (("--goal", "Holding(r,b0), HandEmpty(r)"), "no plan reaches"),
         (("--library", "/nowhere"), "no library folder /nowhere"),
