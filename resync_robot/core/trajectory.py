@@ -111,7 +111,8 @@ def read_trajectories(path: Path, types: Mapping[str, Type], predicates: Mapping
                 check_shape(data, LINE)
                 found.append(Trajectory.from_json(data, types, predicates))
             except (KeyError, TypeError, ValueError, ResyncError) as error:
-                raise ValueError(f"line {number}: {error}") from error
+                # What JSON says of the place counts within the line.
+                raise ValueError(f"line {number}: {getattr(error, 'msg', error)}") from error
         if count != len(found):
             raise ValueError(f"it holds {len(found)} trajectories and no last line that counts them: it was cut off")
     return found
