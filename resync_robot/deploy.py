@@ -176,7 +176,8 @@ def deploy(config: DeployConfig) -> int:
                 say(f"The other {len(tasks) - i - 1} episodes are not begun: {ends}.")
             break
     done = "were planned" if config.dry_run else "reached the goal"
-    say(f"{good} of {len(tasks)} episodes {done}. Review:  resync-robot review {path}")
+    review = f" Review:  resync-robot review {path}" if path.exists() else ""
+    say(f"{good} of {len(tasks)} episodes {done}.{review}")
     return 0 if good == len(tasks) and outcome.halt is not Halt.UNKNOWN and outcome.recorded else 3
 
 
