@@ -2,79 +2,16 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from resync_robot.core.errors import ConfigError
+from resync_robot.deploy_settings import DeployConfig
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-
-    from hardware.base import Halt, ProtectiveStopError
     from perception.segment import Segmenter
-    from resync_robot.backends import Devices
-    from resync_robot.core.episode import Episode, EpisodeMeta
-    from resync_robot.core.library import Library
+    from resync_robot.core.episode import Episode
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain, Task
-    from resync_robot.planning.execute import End, Model, Result
-
-
-BEWARE = "keep away from the robot or press its emergency stop; then look at it, the cable and the controller"
-"""What to do where nobody knows whether it has stopped."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeployConfig:
-    """Let a robot, simulated or real, reach a goal with what a library knows."""
-
-    backend: Literal["sim", "ur7e", "replay"] = "sim"
-    """The robot, gripper and cameras to use. Everything above them is the same code."""
-
-    library: Path | None = None
-    """Library folder that train-sim wrote. Default: the shipped one."""
-
-    domain: str = "cornered-insertion-s"
-    """The domain whose objects and skills are used."""
-
-    replay: Path | None = None
-    """The recording that --backend replay runs over: the same executive, fed with what was recorded."""
-
-    scenario: str = "s1"
-    """Where the objects of a simulated episode lie, and the goal unless --goal is given."""
-
-    goal: str | None = None
-    """The goal as atoms, such as "On(b1,b0)". Default: that of the scenario."""
-
-    seed: int = 0
-    """Seed of the simulated worlds; the first episode's world depends on nothing else."""
-
-    episodes: int = 1
-    """How many episodes to run, each in a world of its own."""
-
-    perception: Literal["camera", "oracle"] = "camera"
-    """Where poses come from: RGB-D pictures, or the simulator's own state."""
-
-    skills: Literal["auto", "camera", "state"] = "auto"
-    """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
-    pictures, where the library holds a camera policy."""
-
-    segmenter: Literal["colour", "sam3"] = "colour"
-    """What finds the blocks in pictures: their hues, or SAM 3 by the prompts of the rig file."""
-
-    dry_run: bool = False
-    """Look, ground and plan, and print the plan, but move no skill."""
-
-    confirm: bool = False
-    """Ask before each step of the plan."""
-
-    out: Path | None = None
-    """Folder of the recordings. Default: runs/DATE-deploy."""
-
-    rig: Path | None = None
-    """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
 
 
 def deploy(config: DeployConfig) -> int:
@@ -92,6 +29,7 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.core.library import load_library
     from resync_robot.core.options import MOST_EPISODES, check_range, check_seed
     from resync_robot.core.rig import load_rig
+    from resync_robot.deployed_episode import run_episode
     from resync_robot.knowledge import camera_recovery, learned_model, sees_by_camera, shipped_library
     from resync_robot.learning.camera_view import VIEWS
     from resync_robot.planning.suppose import check_goal
@@ -159,7 +97,7 @@ def deploy(config: DeployConfig) -> int:
     for i, (task, path) in enumerate(zip(tasks, paths, strict=True)):
         # Whoever ends the program meanwhile waits until the robot is let go and the recording closed and named.
         with held():
-            outcome = _episode(config, rig, library, model, task, i, path, recording, segmenter)
+            outcome = run_episode(config, rig, library, model, task, i, path, recording, segmenter)
             good += outcome.good
             try:
                 say(f"Episode {i + 1}/{len(tasks)}: {outcome.verdict}; {outcome.skills} skills. {outcome.kept(path)}")
@@ -179,60 +117,6 @@ def deploy(config: DeployConfig) -> int:
     review = f" Review:  resync-robot review {path}" if path.exists() else ""
     say(f"{good} of {len(tasks)} episodes {done}.{review}")
     return 0 if good == len(tasks) and outcome.halt is not Halt.UNKNOWN and outcome.recorded else 3
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    """How an episode ended.
-
-    Attributes:
-        reached: whether its goal holds, in truth where that can be had.
-        skills: how many were run to an end.
-        halt: what is known of the robot; None where nothing moves by itself.
-        recorded: the recording is whole; where it is not, the reason was logged when it happened.
-        error: what ends the program with the episode.
-        fix: what to do about it.
-    """
-
-    result: Result
-    reached: bool
-    skills: int
-    halt: Halt | None
-    recorded: bool
-    error: BaseException | None = None
-    fix: str = ""
-
-    def kept(self, path: Path) -> str:
-        """What there is of the recording, for people."""
-        if self.recorded:
-            return f"Recording: {path}"
-        return f"Recording incomplete: {path}" if path.exists() else "Nothing of it was recorded."
-
-    @property
-    def good(self) -> bool:
-        """It came to what it was to come to."""
-        from resync_robot.planning.execute import End
-
-        return self.reached or self.result.end is End.PLANNED
-
-    @property
-    def verdict(self) -> str:
-        """For people; also what is known of the robot, where that is not as it should be or all is not well."""
-        from hardware.base import Halt
-        from resync_robot.planning.execute import End
-
-        end, reason = self.result.end, self.result.reason
-        if self.reached:
-            words = "goal reached"
-        elif end is End.GOAL:
-            words = "failed (the robot believes that it reached the goal, and in truth it did not)"
-        else:
-            words = (
-                f"{end.value} ({reason})" if end in (End.PLANNED, End.STOPPED) else f"failed ({end.value}: {reason})"
-            )
-        if self.halt is Halt.UNKNOWN or (self.halt is not None and not self.good):
-            words += f"; {self.halt.value}"
-        return words
 
 
 def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:
@@ -311,154 +195,3 @@ def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
 
     task = world_task(domain, config.scenario, config.seed, seed - config.seed)
     return task if config.goal is None else replace(task, goal=domain.parse_goal(config.goal, task.objects))
-
-
-def _episode(
-    config: DeployConfig,
-    rig: Rig,
-    library: Library,
-    model: Model,
-    task: Task,
-    index: int,
-    path: Path,
-    recording: Episode | None,
-    segmenter: Segmenter | None,
-) -> _Outcome:
-    """Run one episode to whatever end; the robot is let go and the recording closed then."""
-    from hardware.base import Halt, RealtimeRobot, RobotError
-    from resync_robot import __version__
-    from resync_robot.backends import Layout, open_replay, open_simulated, open_ur7e
-    from resync_robot.core.episode import EpisodeMeta, EventKind
-    from resync_robot.core.episode_writer import EpisodeWriter
-    from resync_robot.core.errors import MotionError, PerceptionError
-    from resync_robot.deployed_world import DeployedWorld, OracleWorld
-    from resync_robot.doubt import doubting
-    from resync_robot.planning.execute import End, ExecuteSettings, Result, begin_after, plan_f
-    from resync_robot.progress import say
-    from resync_robot.recorder import Recorder
-    from resync_robot.signals import let_through
-    from sim_training.domains import find_domain
-
-    scenario = find_domain(config.domain).scenarios.get(recording.meta.scenario if recording else config.scenario)
-    before = scenario.begins_after if scenario else ()
-    goal = ", ".join(map(str, sorted(task.goal)))
-    meta = EpisodeMeta.of(
-        rig,
-        library_hash=library.content_hash,
-        domain=config.domain,
-        scenario=config.scenario,
-        goal=goal,
-        seed=task.seed,
-        backend=config.backend,
-        versions={"resync-robot": __version__},
-    )
-    if config.backend == "sim":
-        opened: AbstractContextManager[Devices] = open_simulated(task, rig)
-    elif recording is not None:
-        opened = open_replay(recording)
-    else:
-        opened = open_ur7e(Layout(config.domain, config.scenario, config.seed, index), rig)
-    with ExitStack() as stack:
-        # The devices come first: where there is no robot, no recording is left behind.
-        with let_through():
-            devices = stack.enter_context(opened)
-        writer = stack.enter_context(EpisodeWriter(path, _dated(meta), devices.clock()))
-        standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"] if recording is None else []
-        recorder = Recorder(
-            writer,
-            devices.clock,
-            devices.truth,
-            [camera.capture for camera in standing],
-            live=isinstance(devices.robot, RealtimeRobot),
-            confirm=lambda step: not config.confirm or _may_run(str(step)),
-            tell=say,
-        )
-        kind = DeployedWorld if config.perception == "camera" else OracleWorld
-
-        def on_stop(error: ProtectiveStopError) -> None:
-            writer.event(devices.clock(), EventKind.STOP, error.what)
-            if devices.resume is None or not _acknowledged(error):
-                raise error
-            devices.resume()
-
-        model = doubting(model)
-        say(f"Goal: {goal}")
-        reached, ending, fix = False, None, ""
-        try:
-            with let_through():
-                world = kind(
-                    devices.robot,
-                    devices.cameras,
-                    rig,
-                    task.objects,
-                    live_state=devices.truth,
-                    witness=recorder,
-                    on_stop=on_stop,
-                    abstraction=model.abstraction,
-                    segmenter=segmenter,
-                )
-                world.stream.recorders.append(recorder.on_stream)
-                steps = [f"{name}({', '.join(of)})" for name, of in before]
-                if not config.dry_run and all(not config.confirm or _may_run(step) for step in steps):
-                    begin_after(world, model, before, task.objects, recorder)
-                result = plan_f(world, model, task.goal, ExecuteSettings(plan_only=config.dry_run), recorder)
-                # What the robot believes at the end does not count where the truth can be had.
-                reached = result.success and (
-                    devices.truth is None or task.goal <= model.abstraction.true_atoms(devices.truth())
-                )
-            if result.end is End.NO_PLAN and not result.transitions:
-                fix = 'See what it saw in the recording, or give another --goal, such as --goal "On(b1,b0)".'
-        except BaseException as error:
-            result = Result(*_end(error), (), (), task.initial)
-            recorder.on_end(result.end, result.reason)
-            # The trouble of one episode is recorded with it, and leaves the others their turn.
-            if isinstance(error, PerceptionError | MotionError | RobotError):
-                fix = error.fix
-            else:
-                ending = error
-        recorder.let_go()
-        halt = None if devices.halt is None else devices.halt()
-        if halt is not None:
-            recorder.on_halt(halt)
-    fix = BEWARE if halt is Halt.UNKNOWN else fix
-    return _Outcome(result, reached, recorder.skills, halt, writer.error is None, ending, fix)
-
-
-def _dated(meta: EpisodeMeta) -> EpisodeMeta:
-    """It begins now."""
-    from dataclasses import replace
-    from datetime import UTC, datetime
-
-    return replace(meta, began=datetime.now(UTC).isoformat())
-
-
-def _end(error: BaseException) -> tuple[End, str]:
-    """How an episode ends that is broken off by this, and why."""
-    from resync_robot.core.errors import ResyncError
-    from resync_robot.planning.execute import End
-    from resync_robot.signals import number_of, words_for
-
-    if isinstance(error, KeyboardInterrupt):
-        return End.STOPPED, words_for(number_of(error))
-    return End.FAULT, error.what if isinstance(error, ResyncError) else f"{type(error).__name__}: {error}"
-
-
-def _may_run(step: str) -> bool:
-    """Ask. Raises ConfigError where nobody can answer."""
-    try:
-        return input(f"Run {step}? [y/N] ").strip().lower() in ("y", "yes")
-    except EOFError:
-        raise ConfigError(
-            "--confirm asks before each step, and nobody is there to answer", "run it from a terminal"
-        ) from None
-
-
-def _acknowledged(error: ProtectiveStopError) -> bool:
-    """Ask whoever stands at the robot. Without a terminal to answer, nothing is ever acknowledged."""
-    from resync_robot.progress import say
-
-    say(f"STOP: {error.what}. Look at the robot, and clear what stopped it.")
-    try:
-        return input("Type 'clear' to release the stop and go on, anything else to end: ").strip().lower() == "clear"
-    except EOFError:
-        return False

@@ -17,7 +17,7 @@ import pytest
 
 from hardware import room
 from hardware.base import Halt
-from resync_robot import backends, cli, deploy, deployed_world
+from resync_robot import backends, cli, deploy, deployed_episode, deployed_world
 from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import RenderError
@@ -111,7 +111,7 @@ def test_the_world_and_goal_are_those_of_the_scenario_unless_a_goal_is_given() -
 def test_a_step_is_confirmed_by_a_word_only(monkeypatch: pytest.MonkeyPatch) -> None:
     for word, allowed in (("y", True), ("Yes ", True), ("", False), ("n", False), ("why", False)):
         monkeypatch.setattr("builtins.input", lambda prompt, word=word: word)
-        assert deploy._may_run("Pick(r, b0)") is allowed
+        assert deployed_episode._may_run("Pick(r, b0)") is allowed
 
 
 def episodes(folder: Path) -> list[Path]:

@@ -1,0 +1,58 @@
+"""What a deployment is told on the command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeployConfig:
+    """Let a robot, simulated or real, reach a goal with what a library knows."""
+
+    backend: Literal["sim", "ur7e", "replay"] = "sim"
+    """The robot, gripper and cameras to use. Everything above them is the same code."""
+
+    library: Path | None = None
+    """Library folder that train-sim wrote. Default: the shipped one."""
+
+    domain: str = "cornered-insertion-s"
+    """The domain whose objects and skills are used."""
+
+    replay: Path | None = None
+    """The recording that --backend replay runs over: the same executive, fed with what was recorded."""
+
+    scenario: str = "s1"
+    """Where the objects of a simulated episode lie, and the goal unless --goal is given."""
+
+    goal: str | None = None
+    """The goal as atoms, such as "On(b1,b0)". Default: that of the scenario."""
+
+    seed: int = 0
+    """Seed of the simulated worlds; the first episode's world depends on nothing else."""
+
+    episodes: int = 1
+    """How many episodes to run, each in a world of its own."""
+
+    perception: Literal["camera", "oracle"] = "camera"
+    """Where poses come from: RGB-D pictures, or the simulator's own state."""
+
+    skills: Literal["auto", "camera", "state"] = "auto"
+    """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
+    pictures, where the library holds a camera policy."""
+
+    segmenter: Literal["colour", "sam3"] = "colour"
+    """What finds the blocks in pictures: their hues, or SAM 3 by the prompts of the rig file."""
+
+    dry_run: bool = False
+    """Look, ground and plan, and print the plan, but move no skill."""
+
+    confirm: bool = False
+    """Ask before each step of the plan."""
+
+    out: Path | None = None
+    """Folder of the recordings. Default: runs/DATE-deploy."""
+
+    rig: Path | None = None
+    """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
