@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from calibration.board import BoardSpec
-from calibration.detect import Corners
+from resync_robot.calibration.board import BoardSpec
+from resync_robot.calibration.detect import Corners
 from resync_robot.core import spatial
 
 

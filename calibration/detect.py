@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from calibration.board import BoardSpec
+from resync_robot.calibration.board import BoardSpec
 from resync_robot.core import spatial
 
 MAGNIFICATION = 3

@@ -23,9 +23,9 @@ from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from calibration.board import BoardSpec
-from calibration.consensus import View, consensus, difference, park, second_tilt_deg
-from calibration.detect import Corners, locate, project
+from resync_robot.calibration.board import BoardSpec
+from resync_robot.calibration.consensus import View, consensus, difference, park, second_tilt_deg
+from resync_robot.calibration.detect import Corners, locate, project
 from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 

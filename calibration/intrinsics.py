@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from calibration.board import BoardSpec
-from calibration.detect import Corners, locate
+from resync_robot.calibration.board import BoardSpec
+from resync_robot.calibration.detect import Corners, locate
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import CameraRig
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from calibration.detect import project
-from calibration.hand_eye import Calibrator, HandEye, View
+from resync_robot.calibration.detect import project
+from resync_robot.calibration.hand_eye import Calibrator, HandEye, View
 from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from calibration.board import BoardSpec
-from calibration.detect import Corners, project
+from resync_robot.calibration.board import BoardSpec
+from resync_robot.calibration.detect import Corners, project
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.files import PNG, check_output, unwritable, write_bytes
 

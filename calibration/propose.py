@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from calibration.board import BoardSpec
-from calibration.detect import project
-from hardware.base import SafetyError
-from hardware.room import Room, heights
+from resync_robot.calibration.board import BoardSpec
+from resync_robot.calibration.detect import project
 from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.kinematics import BRANCHES
 from resync_robot.core.rig import CameraRig, Rig
+from resync_robot.hardware.base import SafetyError
+from resync_robot.hardware.room import Room, heights
 
 CANDIDATES = 1200
 PATH_STEP = 0.05

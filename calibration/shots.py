@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from calibration.board import BoardSpec
-from calibration.detect import BoardDetector, Rejected, Sighting
-from calibration.propose import apart
+from resync_robot.calibration.board import BoardSpec
+from resync_robot.calibration.detect import BoardDetector, Rejected, Sighting
+from resync_robot.calibration.propose import apart
 from resync_robot.core.errors import CalibrationError, ConfigError
 from resync_robot.core.files import read_text, unwritable, write_bytes, write_text
 

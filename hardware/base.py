@@ -17,7 +17,7 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.world import CameraFrame, Cutout, Window
 
 if TYPE_CHECKING:
-    from hardware.room import Room
+    from resync_robot.hardware.room import Room
 
 SERVO_PERIOD = 0.002
 """Seconds between two setpoints: the controller's tick of 500 Hz."""
@@ -139,15 +139,15 @@ class Robot(Device, Protocol):
     def servo(self, q: Float[np.ndarray, "6"], opening: float) -> None:
         """Take the next setpoint (rad, m); called every SERVO_PERIOD, blocks until the tick is due.
 
-        Only `hardware.safety.Guard` calls this. The array belongs to the caller and may change afterwards.
+        Only `resync_robot.hardware.safety.Guard` calls this. The array belongs to the caller and may change afterwards.
         """
         ...
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
         """Cap the joint torques at (6,) N m; None restores the arm's own limits.
 
-        A `RealtimeRobot` must be at rest. It yields instead (`hardware.yielding`), and may rest elsewhere than it was
-        sent when the limit goes: the next `play` then raises StarvedError, and says where.
+        A `RealtimeRobot` must be at rest. It yields instead (`resync_robot.hardware.yielding`), and may rest elsewhere
+        than it was sent when the limit goes: the next `play` then raises StarvedError, and says where.
         """
         ...
 

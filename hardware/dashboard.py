@@ -8,8 +8,8 @@ from __future__ import annotations
 import socket
 import time
 
-from hardware.base import Connected, ProtectiveStopError, RobotError
 from resync_robot.core.machines import ARMS, ArmModel
+from resync_robot.hardware.base import Connected, ProtectiveStopError, RobotError
 
 PORT = 29999
 MAX_REPLY = 4096

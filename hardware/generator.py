@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError, Trajectory
 
-from hardware.base import SERVO_PERIOD
 from resync_robot.core.errors import MotionError
 from resync_robot.core.rig import ArmRig
+from resync_robot.hardware.base import SERVO_PERIOD
 
 JERK_SHARES = (1.0, 0.999, 0.99, 0.9)
 """Of the jerk limit, tried in turn: ruckig's root finding fails where two kinds of profile meet exactly

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from hardware.base import Connected, RobotError, SkewError, StaleError
-from hardware.crop import crop
-from hardware.pauses import blaming_a_pause
-from hardware.realsense_device import FrameSource, PipelineSource, Stream, load_pyrealsense2
 from resync_robot.core.rig import CameraRig
 from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.hardware.base import Connected, RobotError, SkewError, StaleError
+from resync_robot.hardware.crop import crop
+from resync_robot.hardware.pauses import blaming_a_pause
+from resync_robot.hardware.realsense_device import FrameSource, PipelineSource, Stream, load_pyrealsense2
 
 WARM_UP_FRAMES = 30
 """Until exposure and white balance have settled."""

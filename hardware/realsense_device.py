@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import RobotError
+from resync_robot.hardware.base import RobotError
 
 DEPTH_SIZE = (848, 480)
 """Pixels; the width at which the D435i measures best."""

@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hardware.base import SERVO_PERIOD, Connected, GripperState, RobotError, RobotState
 from resync_robot.core.episode import Episode, Joints, Picture
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.state import State
 from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.hardware.base import SERVO_PERIOD, Connected, GripperState, RobotError, RobotState
 
 HELD = 2e-3
 """m by which the recorded pads stood wider than asked for an object to have been between them."""

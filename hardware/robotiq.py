@@ -16,9 +16,9 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import Connected, GripperState, RobotError
-from hardware.pauses import pauses
 from resync_robot.core.machines import GRIPPERS, GripperModel
+from resync_robot.hardware.base import Connected, GripperState, RobotError
+from resync_robot.hardware.pauses import pauses
 
 _log = logging.getLogger(__name__)
 

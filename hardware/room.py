@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import SafetyError
-from hardware.clearance import Clearance, Obstacle
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.kinematics import Kinematics
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import SafetyError
+from resync_robot.hardware.clearance import Clearance, Obstacle
 
 MARGIN = 0.015
 """m that must stay free between parts of the arm, and between them and what stands around."""

@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import SERVO_PERIOD, Connected, GripperState, RobotError, RobotState
 from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.hardware.base import SERVO_PERIOD, Connected, GripperState, RobotError, RobotState
 
 DETECTED = 2e-3
 """m by which the pads must stop short of the request for an object to count as held; above the drive's own error."""

@@ -22,14 +22,23 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import SERVO_PERIOD, Command, RealtimeRobot, Robot, RobotError, RobotState, SafetyError, StarvedError
-from hardware.clearance import Obstacle
-from hardware.generator import Generator, Motion, Way
-from hardware.safety import FIRST_RUN_SPEED, Guard
 from resync_robot.core.episode import Timing
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import (
+    SERVO_PERIOD,
+    Command,
+    RealtimeRobot,
+    Robot,
+    RobotError,
+    RobotState,
+    SafetyError,
+    StarvedError,
+)
+from resync_robot.hardware.clearance import Obstacle
+from resync_robot.hardware.generator import Generator, Motion, Way
+from resync_robot.hardware.safety import FIRST_RUN_SPEED, Guard
 
 OVERSHOOT = 1e-3
 """rad; 0.8 mm at the tip of the stretched arm."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from hardware.stream import Stream
 from resync_robot.core.joints import JointTarget
+from resync_robot.hardware.stream import Stream
 
 TRAVEL_SPEED = 1.0
 """rad/s of the fastest joint."""

@@ -1,4 +1,4 @@
-"""A UR e-Series arm through the real ur-rtde, which lives in a supervised process (`hardware.ur_process`)."""
+"""A UR e-Series arm through the real ur-rtde, which has a process of its own, `resync_robot.hardware.ur_process`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import (
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import ControllerRig, Rig
+from resync_robot.hardware.base import (
     SERVO_PERIOD,
     Connected,
     Gripper,
@@ -22,14 +24,12 @@ from hardware.base import (
     StaleError,
     StarvedError,
 )
-from hardware.dashboard import OTHER_SAFETY, Dashboard
-from hardware.pauses import blaming_a_pause, pauses
-from hardware.room import Room
-from hardware.ur_memory import LONGEST_STOP, PLAYING, RING, STOPS, Fault, LinkMemory
-from hardware.ur_process import LinkProcess
-from hardware.ur_rig import rig_to_json, room_to_json
-from resync_robot.core.joints import JointTarget
-from resync_robot.core.rig import ControllerRig, Rig
+from resync_robot.hardware.dashboard import OTHER_SAFETY, Dashboard
+from resync_robot.hardware.pauses import blaming_a_pause, pauses
+from resync_robot.hardware.room import Room
+from resync_robot.hardware.ur_memory import LONGEST_STOP, PLAYING, RING, STOPS, Fault, LinkMemory
+from resync_robot.hardware.ur_process import LinkProcess
+from resync_robot.hardware.ur_rig import rig_to_json, room_to_json
 
 _log = logging.getLogger(__name__)
 
@@ -342,6 +342,6 @@ def require_controller(rig: Rig) -> ControllerRig:
     if rig.controller is None:
         raise RobotError(
             f"the rig '{rig.name}' has no [controller]: it says nothing of a real or emulated machine",
-            "give one with --rig, such as --rig hardware/emulated.toml",
+            "give one with --rig FILE.toml, or --rig emulated",
         )
     return rig.controller

@@ -1,7 +1,7 @@
 """The process that holds the ur-rtde client: it sends a setpoint every 2 ms, and watches the controller.
 
-While an effort limit is set, what it sends yields to what the arm feels (`hardware.yielding`). Without one it brakes by
-itself when the tip feels more than the rig's force limit: it sees every state, its driver one in a piece.
+While an effort limit is set, what it sends yields to what the arm feels (`resync_robot.hardware.yielding`). Without one
+it brakes by itself when the tip feels more than the rig's force limit: it sees every state, its driver one in a piece.
 
 Why a process of its own: when the link drops, ur-rtde 1.6.5 can end its process by SIGSEGV. Why the script is uploaded
 by hand: given the task, the client uploads it again with every reconnection, and the robot would run a program
@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 
-from hardware.generator import Generator
-from hardware.ur_memory import PLAYING, RING, SNAPSHOT, STOPS, Fault, LinkMemory
-from hardware.ur_rig import rig_from_json, room_from_json
-from hardware.yielding import Yielding
+from resync_robot.hardware.generator import Generator
+from resync_robot.hardware.ur_memory import PLAYING, RING, SNAPSHOT, STOPS, Fault, LinkMemory
+from resync_robot.hardware.ur_rig import rig_from_json, room_from_json
+from resync_robot.hardware.yielding import Yielding
 
 PERIOD = 0.002
 KICK_S = 0.02

@@ -1,4 +1,4 @@
-"""The supervised process that holds the ur-rtde client (`hardware.ur_link`), seen from the driver."""
+"""The supervised process that holds the ur-rtde client (`resync_robot.hardware.ur_link`), seen from the driver."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from hardware.base import Halt, RobotError
-from hardware.ur_memory import LinkMemory
+import resync_robot
+from resync_robot.hardware.base import Halt, RobotError
+from resync_robot.hardware.ur_memory import LinkMemory
 
 _log = logging.getLogger(__name__)
 
@@ -48,10 +49,10 @@ class LinkProcess:
         file = LinkMemory.new_file()
         try:
             self.memory = LinkMemory(file)
-            root = str(Path(__file__).parents[1])
+            root = str(Path(resync_robot.__file__).parents[1])
             path = os.pathsep.join([root, *(p for p in sys.path if p)])
             self.process = subprocess.Popen(
-                [sys.executable, "-c", "from hardware.ur_link import main; main()"],
+                [sys.executable, "-c", "from resync_robot.hardware.ur_link import main; main()"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

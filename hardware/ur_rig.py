@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hardware.clearance import Obstacle
-from hardware.room import Room
 from resync_robot.core.rig import ArmRig, CameraRig, ControllerRig, GripperRig, Rig
+from resync_robot.hardware.clearance import Obstacle
+from resync_robot.hardware.room import Room
 
 T = TypeVar("T")
 

@@ -9,8 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.grasp import BENEATH, Grasp
-from perception.known import (
+from resync_robot.core.errors import PerceptionError, UnknownNameError
+from resync_robot.core.rig import Rig
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.core.vocabulary import BLOCK, DRAWER, LID
+from resync_robot.core.world import CameraFrame
+from resync_robot.perception.grasp import BENEATH, Grasp
+from resync_robot.perception.known import (
     LIFTED,
     Known,
     averaged_sizes,
@@ -20,15 +26,9 @@ from perception.known import (
     put_under,
     underside,
 )
-from perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError, name_blocks
-from perception.objects import SceneEstimate, SceneEstimator, hues_of
-from perception.pose import inside_box
-from resync_robot.core.errors import PerceptionError, UnknownNameError
-from resync_robot.core.rig import Rig
-from resync_robot.core.state import State
-from resync_robot.core.symbols import Object
-from resync_robot.core.vocabulary import BLOCK, DRAWER, LID
-from resync_robot.core.world import CameraFrame
+from resync_robot.perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError, name_blocks
+from resync_robot.perception.objects import SceneEstimate, SceneEstimator, hues_of
+from resync_robot.perception.pose import inside_box
 
 
 @dataclass(frozen=True)

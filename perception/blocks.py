@@ -13,10 +13,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from perception.catalogue import Catalogue
-from perception.outline import Rectangle, fit_rectangle, grid, outward_of_face, rough_rectangle, vote
-from perception.patches import LEAST_POINTS, UPRIGHT_WITHIN, patches_of, tilt_of, without_stragglers
-from perception.pose import (
+from resync_robot.core import spatial
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.outline import Rectangle, fit_rectangle, grid, outward_of_face, rough_rectangle, vote
+from resync_robot.perception.patches import LEAST_POINTS, UPRIGHT_WITHIN, patches_of, tilt_of, without_stragglers
+from resync_robot.perception.pose import (
     HEIGHT_SIGMA,
     BoxEstimate,
     ViewSigma,
@@ -26,8 +27,7 @@ from perception.pose import (
     tie_height,
     upright_covariance,
 )
-from perception.views import View
-from resync_robot.core import spatial
+from resync_robot.perception.views import View
 
 BLOCK_SIGMA = ViewSigma(place=0.00118, yaw=0.0078)
 SIZE_SIGMA = 0.0006

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from hardware.crop import crop
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import CameraRig
 from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.hardware.crop import crop
 
 
 def cut_out(frame: CameraFrame, camera: CameraRig, window: Window, size: int) -> Cutout:

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from perception.catalogue import CABINET, Catalogue, Drawer, Lid
-from perception.outline import (
+from resync_robot.core import spatial
+from resync_robot.perception.catalogue import CABINET, Catalogue, Drawer, Lid
+from resync_robot.perception.outline import (
     Rectangle,
     Votes,
     fit_rectangle,
@@ -22,10 +23,9 @@ from perception.outline import (
     rough_rectangle,
     vote,
 )
-from perception.patches import UPRIGHT_WITHIN, patches_of, tilt_of
-from perception.pose import HEIGHT_SIGMA, ViewSigma, fitted_covariance, peak_height
-from perception.views import View
-from resync_robot.core import spatial
+from resync_robot.perception.patches import UPRIGHT_WITHIN, patches_of, tilt_of
+from resync_robot.perception.pose import HEIGHT_SIGMA, ViewSigma, fitted_covariance, peak_height
+from resync_robot.perception.views import View
 
 LID_SIGMA, DRAWER_SIGMA = ViewSigma(place=0.0012, yaw=0.0026), ViewSigma(place=0.0009, yaw=0.0056)
 """A drawer stands to the side, where fewer views see it. Fitted to errors in ray-cast scenes."""

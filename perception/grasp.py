@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from perception.known import Known
-from perception.pose import upright_covariance, yaw_variance_of
 from resync_robot.core import spatial
 from resync_robot.core.symbols import Object
+from resync_robot.perception.known import Known
+from resync_robot.perception.pose import upright_covariance, yaw_variance_of
 
 GRIP_SLACK = 0.008
 """m by which the opening may differ from a block's width while the pads hold it."""

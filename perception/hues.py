@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from perception.catalogue import Catalogue
-from perception.patches import connected
-from perception.segment import Segment, as_rgb
-from perception.views import level, make_view
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.patches import connected
+from resync_robot.perception.segment import Segment, as_rgb
+from resync_robot.perception.views import level, make_view
 
 STANDS = 0.012
 """m above the table from which on a point is of a thing, not of what the table shows."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from perception.blocks import BlockEstimate
-from perception.pose import HEIGHT_SIGMA, tie_height, upright_covariance, yaw_variance_of
 from resync_robot.core import spatial
+from resync_robot.perception.blocks import BlockEstimate
+from resync_robot.perception.pose import HEIGHT_SIGMA, tie_height, upright_covariance, yaw_variance_of
 
 LIFTED = 0.020
 """A block whose underside is this far above the ground stands on something, m."""

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from perception.blocks import BlockEstimate
-from perception.objects import SceneEstimate
 from resync_robot.core.errors import PerceptionError
+from resync_robot.perception.blocks import BlockEstimate
+from resync_robot.perception.objects import SceneEstimate
 
 SAME_PLACE = 0.020
 """m within which a block that is seen is the one that was believed there."""

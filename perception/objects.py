@@ -8,16 +8,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from perception.blocks import BlockEstimate, Glimpse, estimate_blocks
-from perception.catalogue import Catalogue
-from perception.fittings import FittingEstimate, estimate_fittings
-from perception.pose import BoxEstimate, box_outline, estimate_box
-from perception.register import align_to_box
-from perception.segment import ColourSegmenter, Segmenter
-from perception.views import level, make_view
 from resync_robot.core.errors import ConfigError, PerceptionError
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception.blocks import BlockEstimate, Glimpse, estimate_blocks
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.fittings import FittingEstimate, estimate_fittings
+from resync_robot.perception.pose import BoxEstimate, box_outline, estimate_box
+from resync_robot.perception.register import align_to_box
+from resync_robot.perception.segment import ColourSegmenter, Segmenter
+from resync_robot.perception.views import level, make_view
 
 
 @dataclass(frozen=True)

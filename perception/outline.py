@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
-from perception.views import BACKGROUND, View
 from resync_robot.core import spatial
+from resync_robot.perception.views import BACKGROUND, View
 
 OCCLUDER = 0.016
 """What is nearer than the plane by more than this hides it, m; a stud (12 mm) on the face does not."""

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from perception.catalogue import Catalogue
-from perception.views import View, gather
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.views import View, gather
 
 LEAST_POINTS = 40
 SHOWS = 400

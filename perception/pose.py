@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from perception.catalogue import Catalogue
-from perception.outline import Rectangle, fit_rectangle, grid, outward_of_ring, rough_rectangle, vote
-from perception.views import BACKGROUND, View, gather
 from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.outline import Rectangle, fit_rectangle, grid, outward_of_ring, rough_rectangle, vote
+from resync_robot.perception.views import BACKGROUND, View, gather
 
 HEIGHT_SIGMA = 0.0005
 """Of a horizontal face, m."""

@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
-from perception.catalogue import Catalogue
-from perception.outline import coverage, grid, outward_of_ring, vote
-from perception.views import BACKGROUND, View
 from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.outline import coverage, grid, outward_of_ring, vote
+from resync_robot.perception.views import BACKGROUND, View
 
 _LEVER = 0.3
 """m; an angle times this is a length, so that the three unknowns are alike."""

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from perception.catalogue import Catalogue
-from perception.segment import Segment, as_rgb
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Sam3Rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.segment import Segment, as_rgb
 
 INSTALL = "uv pip install -e '.[sam3]' -c constraints.txt"
 KNOWN = f"install the version that is known: {INSTALL}"

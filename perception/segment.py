@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from perception.catalogue import Catalogue
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception.catalogue import Catalogue
 
 NOBODY = -1
 

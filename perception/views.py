@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.catalogue import Catalogue
-from perception.segment import Segmenter
 from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.segment import Segmenter
 
 BACKGROUND = -1
 HAND_HALF = (0.075, 0.115)

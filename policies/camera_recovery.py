@@ -15,11 +15,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from policies import camera_order
-from policies.cartesian import Blocked, Hand, Motion, run_motion
-from policies.footing import Footing, press_on
-from policies.grasp import travel_height
-from policies.neural import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Ending, Outcome, Skill
@@ -42,6 +37,11 @@ from resync_robot.learning.camera_view import (
     window_at,
 )
 from resync_robot.learning.recovery_policy import project, within_reach
+from resync_robot.policies import camera_order
+from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
+from resync_robot.policies.footing import Footing, press_on
+from resync_robot.policies.grasp import travel_height
+from resync_robot.policies.neural import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
 
 ATTEMPT = RecoverySkillSettings(max_decisions=60)
 """Most recoveries take 2 to 4 s. What has not worked in 6 is better begun again after another scan, which knows the

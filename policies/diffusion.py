@@ -28,7 +28,6 @@ from safetensors.torch import load_file
 from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 
-from policies import trunk
 from resync_robot.core import spatial
 from resync_robot.core.errors import PolicyError
 from resync_robot.core.files import read_text, write_bytes, write_text
@@ -43,6 +42,7 @@ from resync_robot.learning.camera_view import (
     VIEWS,
     Prediction,
 )
+from resync_robot.policies import trunk
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 

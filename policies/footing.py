@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from policies.cartesian import GIVE_IN_STEP, Hand
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.world import Observation
 from resync_robot.learning.recovery_policy import STUD
+from resync_robot.policies.cartesian import GIVE_IN_STEP, Hand
 
 PRESSED = 0.005
 """m that the hand is sent beneath where it stands: then it rests on something."""

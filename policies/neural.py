@@ -9,9 +9,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from policies.cartesian import Blocked, Hand, Motion, run_motion
-from policies.footing import Footing, press_on
-from policies.grasp import travel_height
 from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.library import Record
@@ -23,6 +20,9 @@ from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import Observation
 from resync_robot.learning.recovery_policy import STUD, ActorCritic, commanded_tip, observe, project
 from resync_robot.learning.terminals import Terminal
+from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
+from resync_robot.policies.footing import Footing, press_on
+from resync_robot.policies.grasp import travel_height
 
 RATE_HZ = 50.0
 DECISION_STEPS = 5

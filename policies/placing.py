@@ -7,11 +7,11 @@ from collections.abc import Callable, Collection
 import numpy as np
 from jaxtyping import Bool, Float
 
-from policies.grasp import finger_clearance
 from resync_robot.core import spatial
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX
+from resync_robot.policies.grasp import finger_clearance
 
 REGION = np.array([[0.34, 0.60], [-0.36, 0.36]])
 """x and y in the world, m, between which things are put down: what a round of pictures shows well."""

@@ -10,9 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from policies.cartesian import Blocked, Hand, Motion, run_motion
-from policies.grasp import best_approach, best_yaw, carried_with, travel_height
-from policies.placing import Places, free_places
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Ending, Outcome, Skill
 from resync_robot.core.spatial import inverse, pose_from_features, wrap, yaw_of
@@ -20,6 +17,9 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.core.world import Observation
+from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
+from resync_robot.policies.grasp import best_approach, best_yaw, carried_with, travel_height
+from resync_robot.policies.placing import Places, free_places
 
 RATE_HZ = 50.0
 

@@ -19,11 +19,11 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from policies.diffusion import ACTION, IMAGES, STATE, DiffusionStudent
 from resync_robot.core.damage import reading
 from resync_robot.core.files import whole
 from resync_robot.learning.camera_view import BLOCK_MEAN, BLOCK_SPREAD, STATE_NAMES
 from resync_robot.learning.demonstrations import Demonstrations
+from resync_robot.policies.diffusion import ACTION, IMAGES, STATE, DiffusionStudent
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,14 +11,6 @@ from typing import Protocol
 
 import numpy as np
 
-from hardware.base import Camera, Halt, Robot
-from hardware.emulator.camera import EmulatedCamera
-from hardware.emulator.lab import LabClient
-from hardware.realsense import RealSense
-from hardware.replay import ReplayCamera, ReplayRobot, ReplayTruth
-from hardware.robotiq import Robotiq
-from hardware.sim import SimCamera, SimRobot
-from hardware.ur7e import Ur7e, require_controller
 from resync_robot.core import spatial
 from resync_robot.core.episode import Episode
 from resync_robot.core.errors import ConfigError
@@ -26,10 +18,18 @@ from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.core.world import CameraFrame, Cutout, Window
-from sim_training.mine import is_at_rest
-from sim_training.motion import Motion, camera_motion
-from sim_training.sensor import NoisySensor, Tone
-from sim_training.world import SimWorld
+from resync_robot.hardware.base import Camera, Halt, Robot
+from resync_robot.hardware.emulator.camera import EmulatedCamera
+from resync_robot.hardware.emulator.lab import LabClient
+from resync_robot.hardware.realsense import RealSense
+from resync_robot.hardware.replay import ReplayCamera, ReplayRobot, ReplayTruth
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.sim import SimCamera, SimRobot
+from resync_robot.hardware.ur7e import Ur7e, require_controller
+from resync_robot.sim_training.mine import is_at_rest
+from resync_robot.sim_training.motion import Motion, camera_motion
+from resync_robot.sim_training.sensor import NoisySensor, Tone
+from resync_robot.sim_training.world import SimWorld
 
 _log = logging.getLogger(__name__)
 

@@ -47,7 +47,7 @@ def calibrate(config: CalibrateConfig) -> int:
     """
     what = config.what
     if isinstance(what, BoardConfig):
-        from calibration.board import write_board
+        from resync_robot.calibration.board import write_board
         from resync_robot.progress import say
 
         check_board(what)

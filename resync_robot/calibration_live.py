@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from calibration.overlay import SEARCH_PX, compare_outline, draw_scene, save_picture
+from resync_robot.calibration.overlay import SEARCH_PX, compare_outline, draw_scene, save_picture
 from resync_robot.calibration_machine import open_machine, picture_folder
 from resync_robot.calibration_settings import CheckConfig
 from resync_robot.core.rig import load_rig
 from resync_robot.progress import say
-from sim_training.calibration_scene import Bench, CalibrationWorld, empty_task
+from resync_robot.sim_training.calibration_scene import Bench, CalibrationWorld, empty_task
 
 
 def live(config: CheckConfig) -> int:

@@ -10,20 +10,20 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.board import BoardSpec
-from hardware.base import Camera, Robot
-from hardware.emulator.lab import LabClient
-from hardware.sim import SimCamera, SimRobot
-from hardware.ur7e import require_controller
 from resync_robot.backends import NoisyCamera, open_ur7e
+from resync_robot.calibration.board import BoardSpec
 from resync_robot.calibration_settings import LookConfig
 from resync_robot.core import spatial
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.rig import CameraRig, Rig
+from resync_robot.hardware.base import Camera, Robot
+from resync_robot.hardware.emulator.lab import LabClient
+from resync_robot.hardware.sim import SimCamera, SimRobot
+from resync_robot.hardware.ur7e import require_controller
 from resync_robot.progress import say
 from resync_robot.run_folder import check_folder, default_folder
-from sim_training.calibration_scene import Bench, CalibrationWorld, Poster, displaced
-from sim_training.sensor import NoisySensor
+from resync_robot.sim_training.calibration_scene import Bench, CalibrationWorld, Poster, displaced
+from resync_robot.sim_training.sensor import NoisySensor
 
 SHEET_PX = 60
 """Pixels a square of the simulated print."""

@@ -9,24 +9,24 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.detect import BoardDetector, Rejected, Sighting
-from calibration.hand_eye import Calibrator, HandEye, Noise, View, difference
-from calibration.intrinsics import LEAST_VIEWS, check_intrinsics
-from calibration.judge import Errors, board_by, held_out, judge
-from calibration.overlay import draw_corners, save_picture
-from calibration.propose import Proposer, Reach, board_in_hand, board_on_table, with_board
-from calibration.rig_file import update_rig
-from calibration.shots import Judge, Shot, ShotFolder, read_shots, take, usable
-from hardware.stream import Stream
-from hardware.travel import travel
+from resync_robot.calibration.detect import BoardDetector, Rejected, Sighting
+from resync_robot.calibration.hand_eye import Calibrator, HandEye, Noise, View, difference
+from resync_robot.calibration.intrinsics import LEAST_VIEWS, check_intrinsics
+from resync_robot.calibration.judge import Errors, board_by, held_out, judge
+from resync_robot.calibration.overlay import draw_corners, save_picture
+from resync_robot.calibration.propose import Proposer, Reach, board_in_hand, board_on_table, with_board
+from resync_robot.calibration.rig_file import update_rig
+from resync_robot.calibration.shots import Judge, Shot, ShotFolder, read_shots, take, usable
 from resync_robot.calibration_machine import Machine, open_machine, picture_folder, poster_of
 from resync_robot.calibration_settings import CheckConfig, HandEyeConfig, IntrinsicsConfig, LookConfig, check_target
 from resync_robot.core.calibration_record import CalibrationRecord, complaints
 from resync_robot.core.errors import CalibrationError, ResyncError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import CameraRig, Rig, load_rig
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.travel import travel
 from resync_robot.progress import say
-from sim_training.calibration_scene import Bench
+from resync_robot.sim_training.calibration_scene import Bench
 
 SPARE = 1.5
 """Poses proposed for each picture wanted: some pictures are refused."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from calibration.board import BoardSpec
+from resync_robot.calibration.board import BoardSpec
 from resync_robot.core.errors import ConfigError
-from resync_robot.core.files import RIG, check_output
+from resync_robot.core.files import EMULATED, RIG, check_output, packaged_rig
 from resync_robot.core.options import check_range, check_seed
 
 MOST_POSES, MOST_THINGS = 100, 4
@@ -149,6 +149,9 @@ def check_target(target: Path, rig: Path | None) -> None:
         ConfigError: it is one of these, or cannot be written.
         DiskError: there is no room for it.
     """
+    packaged = packaged_rig(EMULATED)
+    if packaged is not None and target.resolve() == packaged.resolve():
+        raise ConfigError(f"{target} is the rig file that comes with this package", "give --write rig.toml")
     check_output(target, RIG, option="--rig" if target == rig else "--write")
     if rig is None and target.exists():
         raise ConfigError(
@@ -160,9 +163,7 @@ def check_target(target: Path, rig: Path | None) -> None:
 def check_backend(backend: str, rig: Path | None) -> None:
     """Raises ConfigError where a real or emulated robot is meant and none is named."""
     if backend == "ur7e" and rig is None:
-        raise ConfigError(
-            "--backend ur7e needs the rig file of the machine", "give one with --rig, such as hardware/emulated.toml"
-        )
+        raise ConfigError("--backend ur7e needs the rig file of the machine", "give --rig FILE.toml, or --rig emulated")
 
 
 def check_noise(config: NoiseConfig) -> None:

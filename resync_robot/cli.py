@@ -20,7 +20,7 @@ import tyro
 from resync_robot import __version__
 from resync_robot.calibrate import CalibrateConfig, calibrate
 from resync_robot.core.errors import ConfigError, DiskError, ResyncError
-from resync_robot.core.files import disk_fault
+from resync_robot.core.files import disk_fault, packaged_rig
 from resync_robot.deploy import DeployConfig, deploy
 from resync_robot.doctor import DoctorConfig, doctor
 from resync_robot.emulate import EmulateConfig, emulate
@@ -44,8 +44,6 @@ DESCRIPTION = """A robot that learns from its own failures: it trains in simulat
 say when its skills fail, plans with them, and deploys.
 
 Every command takes -v (--verbose) to log at debug level. --version prints the version."""
-
-PACKAGES = ("resync_robot", "sim_training", "policies", "perception", "hardware", "calibration")
 
 BAD_INPUT, FAULT, SIGNALLED, UNREAD = 2, 3, 128, 141
 """Exit codes; 0 is success, 1 a defect of this program. FAULT: of the machine, such as a full disk. To SIGNALLED the
@@ -137,7 +135,7 @@ def _run(argv: Sequence[str] | None) -> int:
             {name: settings for name, (settings, _) in COMMANDS.items()},
             prog="resync-robot",
             description=DESCRIPTION,
-            args=gather(gather([a for a in args if a not in verbose], "--library"), "--fault"),
+            args=name_rig(gather(gather([a for a in args if a not in verbose], "--library"), "--fault")),
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitSubcommandPrefixes),
         )
         run = next(function for settings, function in COMMANDS.values() if settings is type(config))
@@ -180,8 +178,18 @@ def gather(args: Sequence[str], option: str) -> list[str]:
     return kept if option not in args and not values else [*kept, option, *values]
 
 
+def name_rig(args: Sequence[str]) -> list[str]:
+    """`--rig emulated` is the file of that rig which comes with this package."""
+    given, before = [], ""
+    for arg in args:
+        name = arg.removeprefix("--rig=") if arg.startswith("--rig=") else arg if before == "--rig" else ""
+        packaged = packaged_rig(name)
+        given.append(arg if packaged is None else arg.removesuffix(name) + str(packaged))
+        before = arg
+    return given
+
+
 def log_to_stderr(level: int) -> None:
     """Log this project's messages; those of other packages from warnings on."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING, stream=sys.stderr)
-    for package in PACKAGES:
-        logging.getLogger(package).setLevel(level)
+    logging.getLogger("resync_robot").setLevel(level)

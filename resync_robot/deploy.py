@@ -8,10 +8,10 @@ from resync_robot.core.errors import ConfigError
 from resync_robot.deploy_settings import DeployConfig
 
 if TYPE_CHECKING:
-    from perception.segment import Segmenter
     from resync_robot.core.episode import Episode
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain, Task
+    from resync_robot.perception.segment import Segmenter
 
 
 def deploy(config: DeployConfig) -> int:
@@ -25,18 +25,18 @@ def deploy(config: DeployConfig) -> int:
         ResyncError: bad input, or a machine that cannot be used.
         KeyboardInterrupt: somebody ended it; the episode's recording is whole, and has been named.
     """
-    from hardware.base import Halt
     from resync_robot.core.library import load_library
     from resync_robot.core.options import MOST_EPISODES, check_range, check_seed
     from resync_robot.core.rig import load_rig
     from resync_robot.deployed_episode import run_episode
+    from resync_robot.hardware.base import Halt
     from resync_robot.knowledge import camera_recovery, learned_model, sees_by_camera, shipped_library
     from resync_robot.learning.camera_view import VIEWS
     from resync_robot.planning.suppose import check_goal
     from resync_robot.progress import say
     from resync_robot.run_folder import check_folder, default_folder
     from resync_robot.signals import held
-    from sim_training.domains import find_domain
+    from resync_robot.sim_training.domains import find_domain
 
     check_range("--episodes", config.episodes, 1, MOST_EPISODES)
     check_seed(config.seed)
@@ -136,15 +136,15 @@ def _segmenter(config: DeployConfig, rig: Rig) -> Segmenter | None:
     """The one asked for, None for that by colour. Raises PerceptionError where it cannot be had."""
     if config.segmenter == "colour":
         return None
-    from perception.objects import catalogue_of
-    from perception.sam3 import sam3_segmenter
+    from resync_robot.perception.objects import catalogue_of
+    from resync_robot.perception.sam3 import sam3_segmenter
 
     return sam3_segmenter(rig.sam3, catalogue_of(rig), rig.where)
 
 
 def _check_rig(config: DeployConfig, rig: Rig) -> None:
     """What the ur7e backend needs to know before anything is read or moved. Raises RobotError or ConfigError."""
-    from hardware.ur7e import require_controller
+    from resync_robot.hardware.ur7e import require_controller
 
     emulated = require_controller(rig).emulated
     if not emulated and config.perception == "oracle":
@@ -191,7 +191,7 @@ def _recorded_task(recording: Episode, domain: Domain) -> Task:
 def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
     from dataclasses import replace
 
-    from sim_training.domains import world_task
+    from resync_robot.sim_training.domains import world_task
 
     task = world_task(domain, config.scenario, config.seed, seed - config.seed)
     return task if config.goal is None else replace(task, goal=domain.parse_goal(config.goal, task.objects))

@@ -12,14 +12,14 @@ from resync_robot.core.errors import ConfigError
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from hardware.base import Halt, ProtectiveStopError
-    from perception.segment import Segmenter
     from resync_robot.backends import Devices
     from resync_robot.core.episode import Episode, EpisodeMeta
     from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Task
     from resync_robot.deploy_settings import DeployConfig
+    from resync_robot.hardware.base import Halt, ProtectiveStopError
+    from resync_robot.perception.segment import Segmenter
     from resync_robot.planning.execute import End, Model, Result
 
 
@@ -64,7 +64,7 @@ class EpisodeOutcome:
     @property
     def verdict(self) -> str:
         """For people; also what is known of the robot, where that is not as it should be or all is not well."""
-        from hardware.base import Halt
+        from resync_robot.hardware.base import Halt
         from resync_robot.planning.execute import End
 
         end, reason = self.result.end, self.result.reason
@@ -93,7 +93,6 @@ def run_episode(
     segmenter: Segmenter | None,
 ) -> EpisodeOutcome:
     """Run one episode to whatever end; the robot is let go and the recording closed then."""
-    from hardware.base import Halt, RealtimeRobot, RobotError
     from resync_robot import __version__
     from resync_robot.backends import Layout, open_replay, open_simulated, open_ur7e
     from resync_robot.core.episode import EpisodeMeta, EventKind
@@ -101,11 +100,12 @@ def run_episode(
     from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
     from resync_robot.doubt import doubting
+    from resync_robot.hardware.base import Halt, RealtimeRobot, RobotError
     from resync_robot.planning.execute import End, ExecuteSettings, Result, begin_after, plan_f
     from resync_robot.progress import say
     from resync_robot.recorder import Recorder
     from resync_robot.signals import let_through
-    from sim_training.domains import find_domain
+    from resync_robot.sim_training.domains import find_domain
 
     scenario = find_domain(config.domain).scenarios.get(recording.meta.scenario if recording else config.scenario)
     before = scenario.begins_after if scenario else ()

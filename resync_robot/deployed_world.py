@@ -11,16 +11,6 @@ from typing import Protocol
 
 import numpy as np
 
-from hardware.base import Camera, ProtectiveStopError, RealtimeRobot, Robot, WindowedCamera
-from hardware.clearance import Obstacle
-from hardware.stream import Stream
-from hardware.travel import travel
-from perception.belief import Belief
-from perception.cutout import cut_out
-from perception.naming import UnsettledSceneError
-from perception.objects import SceneEstimator
-from perception.scan import Scan
-from perception.segment import Segmenter
 from resync_robot.core import spatial
 from resync_robot.core.episode import Timing
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
@@ -31,6 +21,16 @@ from resync_robot.core.symbols import Atom, Object
 from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID, ROBOT
 from resync_robot.core.world import CameraFrame, Cutout, Observation, Window
 from resync_robot.doubt import DoubtingAbstraction, objects_in
+from resync_robot.hardware.base import Camera, ProtectiveStopError, RealtimeRobot, Robot, WindowedCamera
+from resync_robot.hardware.clearance import Obstacle
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.travel import travel
+from resync_robot.perception.belief import Belief
+from resync_robot.perception.cutout import cut_out
+from resync_robot.perception.naming import UnsettledSceneError
+from resync_robot.perception.objects import SceneEstimator
+from resync_robot.perception.scan import Scan
+from resync_robot.perception.segment import Segmenter
 
 WRIST = "wrist"
 """The camera that scans."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.overlay import save_picture
+from resync_robot.calibration.overlay import save_picture
 from resync_robot.core.damage import check_folder_kind, check_shape, reading
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.files import read_text, whole_folder
@@ -28,17 +28,24 @@ from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.plots import draw_distillation
 from resync_robot.run_folder import RunFolder, git_hash, read_json, write_json
+from resync_robot.sim_training.demos import dataset
+from resync_robot.sim_training.demos.rollouts import (
+    RolloutSettings,
+    Teacher,
+    Trial,
+    demonstrate,
+    look_around,
+    try_student,
+)
+from resync_robot.sim_training.demos.starts import draw_start
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.parallel import parallel_map
+from resync_robot.sim_training.randomise import PICTURED, Ranges
+from resync_robot.sim_training.recovery import RecoverySettings
 from resync_robot.stages import TRAINING_SEEDS, Progress
-from sim_training.demos import dataset
-from sim_training.demos.rollouts import RolloutSettings, Teacher, Trial, demonstrate, look_around, try_student
-from sim_training.demos.starts import draw_start
-from sim_training.domains import find_domain
-from sim_training.parallel import parallel_map
-from sim_training.randomise import PICTURED, Ranges
-from sim_training.recovery import RecoverySettings
 
 if TYPE_CHECKING:
-    from policies.diffusion import DiffusionStudent
+    from resync_robot.policies.diffusion import DiffusionStudent
 
 SHARD = 16
 """Worlds of one shard; they are stepped together, so that the student thinks for all of them at once."""
@@ -66,7 +73,7 @@ class DistilPlan:
     """Worlds in which each candidate is tried."""
     batch: int = 64
     size: str = "small"
-    """Of the student, as in `policies.diffusion.SIZES`."""
+    """Of the student, as in `resync_robot.policies.diffusion.SIZES`."""
     picture: int = PICTURE
     """Pixels of a side of the student's pictures."""
     looks: Ranges = PICTURED
@@ -135,12 +142,12 @@ def make_context(
     student: Path | None,
     blind: tuple[str, ...] = (),
 ) -> DistilContext:
-    from policies.neural import recovery_nets
+    from resync_robot.policies.neural import recovery_nets
 
     net: ActorCritic = recovery_nets(record)[0]
     policy: CameraPolicy | None = None
     if student is not None:
-        from policies.diffusion import load_student
+        from resync_robot.policies.diffusion import load_student
 
         policy = _Blind(load_student(student), blind) if blind else load_student(student)
     return DistilContext(find_domain(domain), rig, net.act, policy, gaussians)
@@ -234,7 +241,7 @@ def _read_points(path: Path) -> list[dict[str, Any]]:
 
 def _check_candidate(path: Path, rig: Rig) -> None:
     """Raises TrainingError where that is no whole student."""
-    from policies.diffusion import load_student
+    from resync_robot.policies.diffusion import load_student
 
     with reading(path):
         load_student(path, rig)
@@ -327,8 +334,8 @@ def _train(
     """Train up to step `until` on all shards so far, and save the averaged student."""
     import torch
 
-    from policies.diffusion import SIZES, DiffusionStudent
-    from policies.training import DistilSettings, Trainer, has_bf16, statistics_of, step_of
+    from resync_robot.policies.diffusion import SIZES, DiffusionStudent
+    from resync_robot.policies.training import DistilSettings, Trainer, has_bf16, statistics_of, step_of
 
     frames = dataset.read_shards(shards)
     frames = replace(frames, pictures=_blinded(frames.pictures, plan.blind))

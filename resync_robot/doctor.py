@@ -22,6 +22,11 @@ PROBE_LIMIT_S = 60.0
 
 SETUP = "make setup"
 VULKAN = "bash scripts/install_vulkan.sh"
+ONE_OPENCV = (
+    "pip uninstall -y opencv-python opencv-contrib-python opencv-contrib-python-headless && "
+    "pip install --force-reinstall --no-deps 'opencv-python-headless<5'"
+)
+"""Taking one of two out takes files of the other with it, so that one is laid down again."""
 TRAIN = "resync-robot train-sim --domain cornered-insertion-s --preset quick"
 
 Status = Literal["ok", "warn", "fail"]
@@ -117,19 +122,21 @@ def check_packages(constraints: Path) -> Finding:
 
 
 def check_opencv() -> Finding:
-    """OpenCV loads, in one version: its two packages own the same files, and 5.0 lacks hand-eye calibration."""
+    """OpenCV loads, from one package: all of them own the same files, and 5.0 lacks hand-eye calibration."""
     found = {
-        d.metadata["Name"]: d.version
+        _normal(d.metadata["Name"]): d.version
         for d in metadata.distributions()
-        if _normal(d.metadata["Name"]).startswith("opencv-python")
+        if re.match(r"opencv-(contrib-)?python", _normal(d.metadata["Name"]))
     }
     described = ", ".join(f"{n} {v}" for n, v in sorted(found.items())) or "not installed"
     try:
         import cv2
     except ImportError as error:
-        return Finding("opencv", "fail", f"{described}; does not load: {error}", SETUP)
+        return Finding("opencv", "fail", f"{described}; does not load: {error}", ONE_OPENCV)
     if len(set(found.values())) > 1 or not cv2.__version__.startswith("4."):
-        return Finding("opencv", "fail", f"{described}; {cv2.__version__} loads, one version 4 is needed", SETUP)
+        return Finding("opencv", "fail", f"{described}; {cv2.__version__} loads, one version 4 is needed", ONE_OPENCV)
+    if len(found) > 1:
+        return Finding("opencv", "warn", f"{described}; they own the same files, only headless is needed", ONE_OPENCV)
     return Finding("opencv", "ok", cv2.__version__)
 
 

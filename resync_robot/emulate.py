@@ -13,7 +13,7 @@ class EmulateConfig:
     """Stand in for a UR7e with gripper and cameras, on loopback, until Ctrl-C."""
 
     rig: Path | None = None
-    """Rig file of the emulated machine, such as hardware/emulated.toml."""
+    """Rig file of the emulated machine. Default: `emulated`, the one that comes with this package."""
 
     fault: tuple[str, ...] = ()
     """What goes wrong: NAME or NAME@SECONDS of running program (default 5), such as protective-stop@10."""
@@ -30,20 +30,21 @@ def emulate(config: EmulateConfig) -> int:
     """
     import time
 
-    from hardware.emulator.faults import FaultPlan, parse_fault
+    from resync_robot.core.files import EMULATED, packaged_rig
     from resync_robot.core.rig import load_rig
+    from resync_robot.hardware.emulator.faults import FaultPlan, parse_fault
     from resync_robot.progress import say
-    from sim_training.lab import Lab
+    from resync_robot.sim_training.lab import Lab
 
     faults = FaultPlan([parse_fault(text) for text in config.fault])
-    if config.rig is None:
-        raise ConfigError("an emulated machine needs a rig file", "give --rig hardware/emulated.toml")
     if config.seconds is not None and not config.seconds > 0:
         raise ConfigError(f"--seconds is {config.seconds}", "give a positive number")
-    rig = load_rig(config.rig)
-    with Lab(rig, config.rig.resolve(), faults) as lab:
+    packaged = packaged_rig(EMULATED)
+    path = config.rig or packaged or Path(EMULATED)
+    rig = load_rig(path)
+    with Lab(rig, path.resolve(), faults) as lab:
         say(f"A {rig.arm.model} with its gripper and {len(rig.cameras)} cameras stands at {lab.emulator.address}.")
-        say(f"In another terminal:  resync-robot deploy --backend ur7e --rig {config.rig}")
+        say(f"In another terminal:  resync-robot deploy --backend ur7e --rig {EMULATED if path == packaged else path}")
         begin = time.monotonic()
         shown = 0
         while config.seconds is None or time.monotonic() - begin < config.seconds:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from resync_robot.doubt import DoubtingAbstraction
     from resync_robot.planning.execute import Listener, Model, Result
     from resync_robot.planning.search import Plan
-    from sim_training.solver import Solver
+    from resync_robot.sim_training.solver import Solver
 
 _log = logging.getLogger(__name__)
 
@@ -126,8 +126,8 @@ def evaluate(config: EvaluateConfig) -> None:
     from resync_robot.progress import Stages, say
     from resync_robot.result_file import ResultFile
     from resync_robot.run_folder import git_hash
-    from sim_training.domains import find_domain
-    from sim_training.parallel import parallel_map
+    from resync_robot.sim_training.domains import find_domain
+    from resync_robot.sim_training.parallel import parallel_map
 
     check_seeds(config.seeds)
     check_range("--workers", config.workers, 1, MOST_WORKERS)
@@ -266,8 +266,8 @@ def _context(
     from resync_robot.doubt import doubting
     from resync_robot.knowledge import camera_recovery, initial_model, learned_model, model_with_recovery
     from resync_robot.planning.execute import plan_f
-    from sim_training.domains import find_domain
-    from sim_training.solver import REFERENCE, SHIPPED
+    from resync_robot.sim_training.domains import find_domain
+    from resync_robot.sim_training.solver import REFERENCE, SHIPPED
 
     domain = find_domain(domain_name)
     initial = doubting(initial_model(domain, rig))
@@ -293,9 +293,9 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
     import time
 
     from resync_robot.planning.execute import End, Listener, Result, begin_after
-    from sim_training.domains import world_task
-    from sim_training.mine import is_at_rest
-    from sim_training.world import SimWorld
+    from resync_robot.sim_training.domains import world_task
+    from resync_robot.sim_training.mine import is_at_rest
+    from resync_robot.sim_training.world import SimWorld
 
     class Notes(Listener):
         """Of an episode that ends in a fault it is all there is."""
@@ -326,10 +326,10 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         result = method(world, goal=task.goal, listener=notes)
         reached = result.success
     else:
-        from hardware.base import RobotError
         from resync_robot.backends import open_simulated
         from resync_robot.core.errors import MotionError, PerceptionError
         from resync_robot.deployed_world import DeployedWorld
+        from resync_robot.hardware.base import RobotError
 
         with open_simulated(task, context.rig) as devices:
             seen = DeployedWorld(

@@ -19,8 +19,8 @@ from resync_robot.perception_trial import SCENE, ObjectRow, SceneRow, run_scene
 from resync_robot.progress import Stages, say
 from resync_robot.result_file import ResultFile
 from resync_robot.run_folder import git_hash
-from sim_training.parallel import parallel_map
-from sim_training.randomise import LOOKS
+from resync_robot.sim_training.parallel import parallel_map
+from resync_robot.sim_training.randomise import LOOKS
 
 
 def evaluate_perception(
@@ -40,7 +40,7 @@ def evaluate_perception(
     `perception_trial.SceneRow`; and `provenance`.
 
     Args:
-        looks: of surfaces, light and camera, as in `sim_training.randomise.LOOKS`.
+        looks: of surfaces, light and camera, as in `resync_robot.sim_training.randomise.LOOKS`.
 
     Raises:
         ResyncError: bad input, or no device can render.

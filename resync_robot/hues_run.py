@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from calibration.rig_file import update_hues
-from hardware.stream import Stream
-from hardware.travel import travel
-from perception.hues import find_hues, name_hues
-from perception.objects import catalogue_of, check_colours
-from perception.scan import Scan
+from resync_robot.calibration.rig_file import update_hues
 from resync_robot.calibration_machine import open_machine
 from resync_robot.calibration_settings import HuesConfig, check_target
 from resync_robot.core.rig import load_rig
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.travel import travel
+from resync_robot.perception.hues import find_hues, name_hues
+from resync_robot.perception.objects import catalogue_of, check_colours
+from resync_robot.perception.scan import Scan
 from resync_robot.progress import say
-from sim_training.calibration_scene import Bench
+from resync_robot.sim_training.calibration_scene import Bench
 
 WRIST = "wrist"
 """The camera that scans."""

@@ -29,7 +29,7 @@ def shipped_library(domain: str) -> Path:
 
 def initial_model(domain: Domain, rig: Rig) -> Model:
     """What the robot knows before it has failed (C_0, Psi_0, Op_0)."""
-    from policies.scripted import scripted_skills
+    from resync_robot.policies.scripted import scripted_skills
 
     skills = {s.name: s for s in scripted_skills(rig)}
     return Model(skills, Abstraction(domain.predicates, domain.classifiers), domain.operators)
@@ -41,7 +41,7 @@ def model_with_recovery(domain: Domain, rig: Rig, record: Record, skill: Skill |
     Args:
         skill: the recovery to use; by default the record's own, which follows the simulator's state.
     """
-    from policies.neural import recovery_skill
+    from resync_robot.policies.neural import recovery_skill
 
     model = initial_model(domain, rig)
     skill = skill or recovery_skill(domain.recovery, record, rig)
@@ -61,9 +61,9 @@ def camera_recovery(domain: Domain, rig: Rig, library: Library) -> Skill:
             f"the library holds no camera policy for '{domain.recovery}'",
             "train one: resync-robot train-sim, or run with --skills state",
         )
-    from perception.objects import catalogue_of
-    from policies.camera_recovery import camera_recovery_skill
-    from policies.diffusion import load_student
+    from resync_robot.perception.objects import catalogue_of
+    from resync_robot.policies.camera_recovery import camera_recovery_skill
+    from resync_robot.policies.diffusion import load_student
 
     # LeRobot reads folders; what is given to it is what was verified, not what may lie in the library by now.
     with TemporaryDirectory() as folder:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from calibration.depth_noise import fit_noise
-from calibration.rig_file import update_rig
-from hardware.stream import Stream
-from hardware.travel import travel
-from perception.scan import Scan
+from resync_robot.calibration.depth_noise import fit_noise
+from resync_robot.calibration.rig_file import update_rig
 from resync_robot.calibration_machine import open_machine
 from resync_robot.calibration_settings import NoiseConfig, check_target
 from resync_robot.core.rig import load_rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.travel import travel
+from resync_robot.perception.scan import Scan
 from resync_robot.progress import say
-from sim_training.calibration_scene import Bench
+from resync_robot.sim_training.calibration_scene import Bench
 
 PLACES = ((0.42, -0.12), (0.42, 0.12), (0.55, 0.0))
 """(x, y) on the table, m, that a camera on the flange looks at."""

@@ -10,12 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from perception.belief import Belief
-from perception.catalogue import Catalogue
-from perception.naming import UnsettledSceneError
-from perception.objects import SceneEstimate, SceneEstimator
-from perception.pose import yaw_variance_of
-from perception.scan import Scan
 from resync_robot.core import spatial
 from resync_robot.core.damage import Shape
 from resync_robot.core.errors import PerceptionError, UnknownNameError
@@ -24,12 +18,18 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK
-from sim_training.domains.layouts import THE_BOX, R
-from sim_training.mine import is_at_rest
-from sim_training.perception_scenes import SINGLES, TWIN, PerceptionScene, draw_scene
-from sim_training.randomise import LOOKS
-from sim_training.sensor import NoisySensor, Tone
-from sim_training.world import SimWorld
+from resync_robot.perception.belief import Belief
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.naming import UnsettledSceneError
+from resync_robot.perception.objects import SceneEstimate, SceneEstimator
+from resync_robot.perception.pose import yaw_variance_of
+from resync_robot.perception.scan import Scan
+from resync_robot.sim_training.domains.layouts import THE_BOX, R
+from resync_robot.sim_training.mine import is_at_rest
+from resync_robot.sim_training.perception_scenes import SINGLES, TWIN, PerceptionScene, draw_scene
+from resync_robot.sim_training.randomise import LOOKS
+from resync_robot.sim_training.sensor import NoisySensor, Tone
+from resync_robot.sim_training.world import SimWorld
 
 BOX_CONDITION, HOLDING = "the box", "while one is held"
 HELD_EVERY = 4

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 import cv2
 import numpy as np
 
-from hardware.base import Command, Halt, RobotState
 from resync_robot.core.episode import EventKind, Timing
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ResyncError
@@ -17,6 +16,7 @@ from resync_robot.core.skill import GroundSkill, Outcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, GroundOperator
 from resync_robot.core.world import CameraFrame, Cutout, Observation
+from resync_robot.hardware.base import Command, Halt, RobotState
 from resync_robot.planning.execute import End, Listener
 from resync_robot.planning.search import Plan
 

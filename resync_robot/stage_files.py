@@ -11,7 +11,6 @@ from typing import Any
 
 from safetensors.numpy import load_file
 
-from policies.neural import recovery_nets
 from resync_robot.core.damage import Shape, check_shape, reading
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.library import Record
@@ -20,8 +19,9 @@ from resync_robot.core.task import Domain, Task
 from resync_robot.core.vocabulary import TYPES
 from resync_robot.learning.failures import Culprit, PairGaussian
 from resync_robot.learning.terminals import Terminal
+from resync_robot.policies.neural import recovery_nets
 from resync_robot.run_folder import read_json
-from sim_training.mine import resample_failure
+from resync_robot.sim_training.mine import resample_failure
 
 GAUSSIAN: Shape = {"mean": [float], "covariance": [[float]]}
 MINED: Shape = {

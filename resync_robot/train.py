@@ -74,7 +74,7 @@ def train(config: TrainConfig) -> None:
     from resync_robot.core.options import MOST_WORKERS, check_range, check_seed
     from resync_robot.progress import say
     from resync_robot.run_settings import CONFIG, SHAPING, RunSettings
-    from sim_training.domains import find_domain
+    from resync_robot.sim_training.domains import find_domain
 
     given = {name: getattr(config, name) for name in SHAPING if getattr(config, name) is not None}
     begun = RunSettings(**given)
@@ -133,7 +133,7 @@ def _new(path: Path, settings: RunSettings) -> RunSettings:
 
 def _resumed(path: Path, given: Mapping[str, Any]) -> tuple[RunSettings, str | None]:
     from resync_robot.run_settings import read_settings
-    from sim_training.domains import DOMAINS
+    from resync_robot.sim_training.domains import DOMAINS
 
     return read_settings(path, given, tuple(DOMAINS))
 
@@ -167,7 +167,7 @@ def _check_device(settings: RunSettings, folder: RunFolder) -> None:
 def _check_renderer() -> None:
     """What only the last stage needs is missed at once. Raises RenderError."""
     from resync_robot.core.errors import RenderError
-    from sim_training.scene import require_renderer
+    from resync_robot.sim_training.scene import require_renderer
 
     try:
         require_renderer()

@@ -19,8 +19,8 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, ROBOT
-from sim_training.randomise import draw_physics
-from sim_training.world import SimWorld
+from resync_robot.sim_training.randomise import draw_physics
+from resync_robot.sim_training.world import SimWorld
 
 R = ROBOT("r")
 CAMERA_SHIFT, CAMERA_TURN = 0.008, np.radians(1.5)

@@ -22,8 +22,8 @@ from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.planning.execute import ExecuteSettings, Model, plan_f, run_skill
-from sim_training.mine import is_at_rest
-from sim_training.world import SimWorld
+from resync_robot.sim_training.mine import is_at_rest
+from resync_robot.sim_training.world import SimWorld
 
 WHEN = ("before", "after")
 REFERENCES = {"picked": "b0", "base": "b1", "bystander": "b2"}

@@ -17,20 +17,21 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from hardware.base import RobotError
-from hardware.emulator.arm import SimulatedArm
-from hardware.emulator.controller import Controller, ControllerSettings
-from hardware.emulator.faults import FaultPlan
-from hardware.emulator.gripper import EmulatedGripper
-from hardware.emulator.lab import MAX_LINE, PORT
-from hardware.emulator.server import Emulator
+import resync_robot
 from resync_robot.core.errors import ConfigError, ResyncError
 from resync_robot.core.rig import Rig
 from resync_robot.core.task import Task
-from sim_training.calibration_scene import Bench, displaced
-from sim_training.domains import find_domain, world_task
-from sim_training.mine import is_at_rest
-from sim_training.world import SimWorld
+from resync_robot.hardware.base import RobotError
+from resync_robot.hardware.emulator.arm import SimulatedArm
+from resync_robot.hardware.emulator.controller import Controller, ControllerSettings
+from resync_robot.hardware.emulator.faults import FaultPlan
+from resync_robot.hardware.emulator.gripper import EmulatedGripper
+from resync_robot.hardware.emulator.lab import MAX_LINE, PORT
+from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.sim_training.calibration_scene import Bench, displaced
+from resync_robot.sim_training.domains import find_domain, world_task
+from resync_robot.sim_training.mine import is_at_rest
+from resync_robot.sim_training.world import SimWorld
 
 _log = logging.getLogger(__name__)
 LAYOUT_LIMIT_S = 60.0
@@ -51,7 +52,8 @@ class Lab:
     def __init__(self, rig: Rig, rig_path: Path, faults: FaultPlan | None = None) -> None:
         if rig.controller is None or not rig.controller.emulated:
             raise ConfigError(
-                f"the rig '{rig.name}' is not an emulated one", "give --rig hardware/emulated.toml, or a copy of it"
+                f"the rig '{rig.name}' is not an emulated one",
+                "give --rig emulated, or a copy of hardware/emulated.toml",
             )
         self.rig = rig
         self._task = self._scene({"domain": "cornered-insertion-s", "scenario": "s1", "seed": 0, "episode": 0})
@@ -137,10 +139,10 @@ class PictureProcess:
     def lay_out(self, scene: dict[str, Any]) -> None:
         with self._lock:
             if self._process is None or self._process.poll() is not None:
-                root = str(Path(__file__).parents[1])
+                root = str(Path(resync_robot.__file__).parents[1])
                 path = os.pathsep.join([root, *(p for p in sys.path if p)])
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", "sim_training.lab_pictures", str(self._rig_path)],
+                    [sys.executable, "-m", "resync_robot.sim_training.lab_pictures", str(self._rig_path)],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     env=os.environ | {"PYTHONPATH": path},

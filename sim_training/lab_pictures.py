@@ -15,12 +15,12 @@ from resync_robot.core.errors import ResyncError
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.task import Task
 from resync_robot.core.world import Window
-from sim_training.calibration_scene import Bench, CalibrationWorld, displaced
-from sim_training.domains import find_domain, world_task
-from sim_training.motion import camera_motion
-from sim_training.scene import place_camera
-from sim_training.sensor import NoisySensor, Tone
-from sim_training.world import SimWorld
+from resync_robot.sim_training.calibration_scene import Bench, CalibrationWorld, displaced
+from resync_robot.sim_training.domains import find_domain, world_task
+from resync_robot.sim_training.motion import camera_motion
+from resync_robot.sim_training.scene import place_camera
+from resync_robot.sim_training.sensor import NoisySensor, Tone
+from resync_robot.sim_training.world import SimWorld
 
 MAX_WINDOW_PX = 1024
 

@@ -5,7 +5,7 @@ only puts them where ManiSkill expects them. Every parallel environment is built
 friction, masses and gains differ between them; they stay as built, since ManiSkill cannot rebuild one of many.
 
     import gymnasium
-    import sim_training.maniskill_env  # registers the environment
+    import resync_robot.sim_training.maniskill_env  # registers the environment
     env = gymnasium.make("ResyncCorneredInsertionS-v1", num_envs=1, sim_backend="physx_cpu")
 
 `sim_backend="physx_cuda"` is written for, and follows what ManiSkill documents, but has not been run on a GPU yet: the
@@ -35,12 +35,12 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.learning import recovery_policy as view
-from sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
-from sim_training.maniskill_robot import Ur7e2f140
-from sim_training.recovery import FailedWorlds, RecoverySettings, reward
-from sim_training.scene import add_block, add_box, add_table
-from sim_training.solver import SHIPPED, solver_of
-from sim_training.vector_env import CONTROL_PERIOD
+from resync_robot.sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
+from resync_robot.sim_training.maniskill_robot import Ur7e2f140
+from resync_robot.sim_training.recovery import FailedWorlds, RecoverySettings, reward
+from resync_robot.sim_training.scene import add_block, add_box, add_table
+from resync_robot.sim_training.solver import SHIPPED, solver_of
+from resync_robot.sim_training.vector_env import CONTROL_PERIOD
 
 ENVIRONMENT = "ResyncCorneredInsertionS-v1"
 

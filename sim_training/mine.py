@@ -16,7 +16,7 @@ from resync_robot.core.vocabulary import BLOCK
 from resync_robot.core.world import Observation
 from resync_robot.learning.failures import Failure, PairGaussian
 from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_f
-from sim_training.world import SimWorld
+from resync_robot.sim_training.world import SimWorld
 
 SETTLING = 0.2
 """s after which a placed object must be at rest where it was put (section 3.1)."""

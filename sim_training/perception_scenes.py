@@ -13,7 +13,7 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK
-from sim_training.domains.layouts import (
+from resync_robot.sim_training.domains.layouts import (
     THE_BOX,
     R,
     block_features,
@@ -24,8 +24,8 @@ from sim_training.domains.layouts import (
     sample_box,
     wall_pose,
 )
-from sim_training.parts import CLEARANCE
-from sim_training.randomise import BLOCK_HUES, PICTURED, Ranges, draw_physics
+from resync_robot.sim_training.parts import CLEARANCE
+from resync_robot.sim_training.randomise import BLOCK_HUES, PICTURED, Ranges, draw_physics
 
 TWIN = "b4"
 """A block of the same colour as another one."""

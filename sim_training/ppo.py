@@ -25,11 +25,11 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.learning import recovery_policy as view
 from resync_robot.learning.recovery_policy import ActorCritic
-from sim_training.recovery import FailedWorlds, RecoverySettings, lagging, reward
-from sim_training.vector_env import RecoveryScenes
+from resync_robot.sim_training.recovery import FailedWorlds, RecoverySettings, lagging, reward
+from resync_robot.sim_training.vector_env import RecoveryScenes
 
 if TYPE_CHECKING:
-    from sim_training.maniskill_env import ManiSkillScenes
+    from resync_robot.sim_training.maniskill_env import ManiSkillScenes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +157,7 @@ def _make_scenes(
 ) -> RecoveryScenes | ManiSkillScenes:
     if device == "cpu":
         return RecoveryScenes(tasks, block, rig, count, workers)
-    from sim_training.maniskill_env import ManiSkillScenes  # its import takes seconds
+    from resync_robot.sim_training.maniskill_env import ManiSkillScenes  # its import takes seconds
 
     return ManiSkillScenes(tasks, block, rig, count, device)
 

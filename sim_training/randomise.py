@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from sim_training import lights, textures
-from sim_training.lights import Lighting, draw_lighting
-from sim_training.solver import MOST_ITERATIONS, SHIPPED, Solver
+from resync_robot.sim_training import lights, textures
+from resync_robot.sim_training.lights import Lighting, draw_lighting
+from resync_robot.sim_training.solver import MOST_ITERATIONS, SHIPPED, Solver
 
 BLOCK_HUES = {"b0": 0.00, "b1": 0.60, "b2": 0.14, "b3": 0.36}
 """Red, blue, yellow, green: what tells the blocks apart for a camera."""

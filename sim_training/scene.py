@@ -21,9 +21,9 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.core.world import Window
-from sim_training import parts, textures
-from sim_training.lights import add_lights
-from sim_training.solver import Solver, solver_of
+from resync_robot.sim_training import parts, textures
+from resync_robot.sim_training.lights import add_lights
+from resync_robot.sim_training.solver import Solver, solver_of
 
 FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
 TARGET_PERIOD = 0.02
@@ -153,7 +153,7 @@ def _visual(
 @cache
 def urdf_path() -> str:
     """Where the robot's description lies."""
-    with as_file(files("sim_training").joinpath("assets/ur7e_2f140.urdf")) as path:
+    with as_file(files("resync_robot.sim_training").joinpath("assets/ur7e_2f140.urdf")) as path:
         return str(path)
 
 

@@ -20,7 +20,7 @@ from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig
 from resync_robot.core.sensor_noise import SensorNoise
 from resync_robot.core.world import CameraFrame
-from sim_training.motion import Motion, flow_of, smear_colour, smear_depth
+from resync_robot.sim_training.motion import Motion, flow_of, smear_colour, smear_depth
 
 SCREEN = 2.2
 """Gamma of rendered pictures."""

@@ -17,7 +17,7 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.core.world import CameraFrame, Cutout, Observation, Window
-from sim_training.scene import (
+from resync_robot.sim_training.scene import (
     TORQUE,
     BuiltScene,
     add_camera,

@@ -18,14 +18,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from hardware.emulator.arm import KinematicArm
-from hardware.emulator.controller import Controller, ControllerSettings
-from hardware.emulator.gripper import EmulatedGripper
-from hardware.emulator.server import Emulator
 from resync_robot.core import spatial
 from resync_robot.core.kinematics import WORK_BRANCH
 from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import Rig, load_rig
+from resync_robot.hardware.emulator.arm import KinematicArm
+from resync_robot.hardware.emulator.controller import Controller, ControllerSettings
+from resync_robot.hardware.emulator.gripper import EmulatedGripper
+from resync_robot.hardware.emulator.server import Emulator
 
 RIG_FILE = Path(__file__).parents[1] / "hardware" / "emulated.toml"
 _count = itertools.count(2)

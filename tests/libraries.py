@@ -10,7 +10,7 @@ from resync_robot.core.rig import load_rig
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, ActorCritic
 from resync_robot.learning.terminals import Terminal
 from resync_robot.planning.pddl import domain_to_pddl
-from sim_training.domains import find_domain
+from resync_robot.sim_training.domains import find_domain
 
 DOMAIN = "cornered-insertion-s"
 

@@ -21,10 +21,10 @@ from resync_robot.learning.failures import Culprit, PairGaussian
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, ActorCritic
 from resync_robot.run_folder import RunFolder, write_json
 from resync_robot.run_settings import RunSettings
+from resync_robot.sim_training import ppo
+from resync_robot.sim_training.domains import find_domain, world_task
 from resync_robot.stage_files import Mined
 from resync_robot.stages import CHUNK, PRESETS
-from sim_training import ppo
-from sim_training.domains import find_domain, world_task
 from tests.libraries import DOMAIN
 
 POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"

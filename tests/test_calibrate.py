@@ -13,17 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.detect import Rejected
-from calibration.rig_file import update_rig
-from calibration.shots import Shot, ShotFolder
-from perception.hues import apart
 from resync_robot import cli
+from resync_robot.calibration.detect import Rejected
+from resync_robot.calibration.rig_file import update_rig
+from resync_robot.calibration.shots import Shot, ShotFolder
 from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationRecord
 from resync_robot.core.errors import MotionError, RenderError
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.deploy import DeployConfig, calibration_complaints
-from sim_training.calibration_scene import CalibrationWorld, displaced, empty_task, row_task
+from resync_robot.perception.hues import apart
+from resync_robot.sim_training.calibration_scene import CalibrationWorld, displaced, empty_task, row_task
 from tests import emulators
 from tests.calibration import synthetic
 
@@ -83,7 +83,7 @@ def stored(
         (("board", "--out", "/dev/null/board.pdf"), "cannot write --out /dev/null/board.pdf: /dev/null is no folder"),
         (("hand-eye", "--camera", "back"), "unknown camera 'back' in the built-in rig"),
         (("hand-eye", "--backend", "ur7e"), "--backend ur7e needs the rig file"),
-        (("check", "--live", "--backend", "ur7e"), "--rig, such as hardware/emulated.toml"),
+        (("check", "--live", "--backend", "ur7e"), "--rig emulated"),
         (("hand-eye", "--poses", "0"), "--poses is 0; allowed: 8 to 100"),
         (("hand-eye", "--poses", "7"), "--poses is 7; allowed: 8 to 100"),
         (("intrinsics", "--poses", "101"), "--poses is 101; allowed: 8 to 100"),

@@ -207,10 +207,10 @@ def test_verbose_logs_our_packages_at_debug_level(given, args: tuple[str, ...]) 
     seen = given("doctor")
     assert exit_code(*args) == 0
     assert seen == [DoctorConfig()]
-    assert logging.getLogger("sim_training.ppo").isEnabledFor(logging.DEBUG)
+    assert logging.getLogger("resync_robot.sim_training.ppo").isEnabledFor(logging.DEBUG)
     assert not logging.getLogger("matplotlib").isEnabledFor(logging.DEBUG)
     assert exit_code("doctor") == 0
-    assert not logging.getLogger("sim_training.ppo").isEnabledFor(logging.DEBUG)
+    assert not logging.getLogger("resync_robot.sim_training.ppo").isEnabledFor(logging.DEBUG)
 
 
 def test_the_module_runs_as_the_command_does() -> None:

@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hardware import room
-from hardware.base import Halt
 from resync_robot import backends, cli, deploy, deployed_episode, deployed_world
 from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
@@ -24,10 +22,12 @@ from resync_robot.core.errors import RenderError
 from resync_robot.core.library import save_library
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.deploy import DeployConfig
+from resync_robot.hardware import room
+from resync_robot.hardware.base import Halt
 from resync_robot.planning import execute
 from resync_robot.recorder import Recorder
-from sim_training.domains import find_domain, world_task
-from sim_training.world import SimWorld
+from resync_robot.sim_training.domains import find_domain, world_task
+from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 from tests.libraries import DOMAIN, given_library
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from hardware.base import Halt
 from resync_robot import cli
 from resync_robot.core.episode import Episode, EventKind, read_episode
 from resync_robot.core.errors import RenderError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import GroundSkill
+from resync_robot.hardware.base import Halt
 from resync_robot.recorder import Recorder
-from sim_training.world import SimWorld
+from resync_robot.sim_training.world import SimWorld
 from tests import emulators, scenes
 
 pytestmark = pytest.mark.realtime
@@ -101,7 +101,9 @@ def test_nobody_says_of_a_controller_that_is_gone_that_its_robot_has_stopped(
     shown = capfd.readouterr()
     assert "Traceback" not in shown.err and "has been stopped" not in shown.out + shown.err
     assert Halt.UNKNOWN.value in shown.out
-    assert [r for r in caplog.records if r.name == "hardware.ur7e" and Halt.UNKNOWN.value in r.getMessage()]
+    assert [
+        r for r in caplog.records if r.name == "resync_robot.hardware.ur7e" and Halt.UNKNOWN.value in r.getMessage()
+    ]
     (path,) = out.glob("*.mcap")
     episode = read_episode(path)
     assert episode.damage is None

@@ -8,11 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from hardware.base import ProtectiveStopError
-from hardware.sim import SimRobot
-from perception.catalogue import Catalogue
-from perception.naming import MissingObjectsError
-from perception.scan import Scan
 from resync_robot import deployed_world
 from resync_robot.core import spatial
 from resync_robot.core.episode import Timing
@@ -24,8 +19,13 @@ from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.core.world import CameraFrame, Cutout, Window
 from resync_robot.deployed_world import MORE_LOOKS, DeployedWorld, OracleWorld, walled
 from resync_robot.doubt import DoubtingAbstraction
+from resync_robot.hardware.base import ProtectiveStopError
+from resync_robot.hardware.sim import SimRobot
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.naming import MissingObjectsError
+from resync_robot.perception.scan import Scan
 from resync_robot.planning.abstract import Abstraction
-from sim_training.world import SimWorld
+from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 from tests.perception.raycast import FLOOR, Table
 

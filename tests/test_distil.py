@@ -22,10 +22,10 @@ from resync_robot.knowledge import shipped_library
 from resync_robot.learning.camera_view import GAPS, PICTURE, state_seen
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.run_folder import RunFolder
-from sim_training.demos.dataset import STAMP
-from sim_training.demos.recoveries import RenderedRecovery
-from sim_training.demos.starts import draw_start
-from sim_training.domains import find_domain
+from resync_robot.sim_training.demos.dataset import STAMP
+from resync_robot.sim_training.demos.recoveries import RenderedRecovery
+from resync_robot.sim_training.demos.starts import draw_start
+from resync_robot.sim_training.domains import find_domain
 from tests.run_folders import DAMAGES, copy_of, files_of
 from tests.test_resume import ReachedError
 
@@ -48,7 +48,7 @@ def run(folder: Path) -> dict[str, bytes]:
 def test_it_leaves_a_policy_a_dataset_and_pictures_and_does_nothing_twice(tmp_path: Path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    from policies.diffusion import load_student
+    from resync_robot.policies.diffusion import load_student
 
     files = run(tmp_path)
     with TemporaryDirectory() as folder:
@@ -87,11 +87,13 @@ def test_a_damaged_file_of_this_stage_is_one_message_and_can_be_removed(
 
     monkeypatch.setattr("resync_robot.distil.parallel_map", work_on)
     monkeypatch.setattr("resync_robot.distil._check_candidate", lambda *_: None)
-    monkeypatch.setattr("policies.training.Trainer.run", begin)
-    monkeypatch.setattr("sim_training.demos.dataset.merge_shards", lambda *_: None)
+    monkeypatch.setattr("resync_robot.policies.training.Trainer.run", begin)
+    monkeypatch.setattr("resync_robot.sim_training.demos.dataset.merge_shards", lambda *_: None)
     # Videos take most of the time, and are looked at by the test of shards.
     black = np.zeros((PICTURE, PICTURE, 3), dtype=np.uint8)
-    monkeypatch.setattr("sim_training.demos.dataset._decode", lambda folder, view, count: np.stack([black] * count))
+    monkeypatch.setattr(
+        "resync_robot.sim_training.demos.dataset._decode", lambda folder, view, count: np.stack([black] * count)
+    )
     for name in (*files, shards[0]):
         for how, spoil in DAMAGES.items():
             if (how == "unreadable" and os.geteuid() == 0) or how in HARMLESS.get(name.name, ()):
@@ -151,7 +153,7 @@ def test_of_candidates_that_trials_cannot_tell_apart_the_one_trained_longest_is_
 
 
 def test_the_shipped_policy_sees_its_block_and_whether_it_is_stuck(tmp_path: Path) -> None:
-    from policies.diffusion import load_student
+    from resync_robot.policies.diffusion import load_student
 
     domain, rig = find_domain("cornered-insertion-s"), load_rig()
     library = load_library(shipped_library(domain.name))

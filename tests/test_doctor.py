@@ -113,16 +113,27 @@ def test_opencv_loads() -> None:
     assert finding.detail.startswith("4.")
 
 
-def test_two_versions_of_opencv_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("name", "version", "status"),
+    [
+        ("opencv-python", "5.0.0", "fail"),
+        ("opencv-python", "4.11.0.86", "warn"),
+        ("opencv_contrib_python_headless", "4.11.0.86", "warn"),
+    ],
+)
+def test_two_packages_of_opencv_are_found_and_mended(
+    name: str, version: str, status: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Package:
         def __init__(self, name: str, version: str) -> None:
             self.metadata, self.version = {"Name": name}, version
 
-    both = [Package("opencv-python", "5.0.0"), Package("opencv_python_headless", "4.11.0.86")]
+    both = [Package(name, version), Package("opencv_python_headless", "4.11.0.86")]
     monkeypatch.setattr(doctor.metadata, "distributions", lambda: both)
     finding = doctor.check_opencv()
-    assert finding.status == "fail"
-    assert "opencv-python 5.0.0" in finding.detail
+    assert finding.status == status
+    assert f"{name.replace('_', '-')} {version}" in finding.detail
+    assert "pip uninstall -y opencv-python" in finding.fix
 
 
 @pytest.mark.parametrize(

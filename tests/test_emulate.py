@@ -13,7 +13,6 @@ from tests.emulators import RIG_FILE
 @pytest.mark.parametrize(
     ("args", "word"),
     [
-        ((), "--rig hardware/emulated.toml"),
         (("--rig", "/nowhere.toml"), "/nowhere.toml"),
         (("--rig", str(RIG_FILE), "--fault", "fire"), "unknown fault 'fire'"),
         (("--rig", str(RIG_FILE), "--fault", "freeze@soon"), "freeze@10"),

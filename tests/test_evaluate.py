@@ -25,7 +25,7 @@ from resync_robot.core.lock import sole_writer
 from resync_robot.evaluate import Job
 from resync_robot.evaluation_report import EpisodeRow, wilson
 from resync_robot.planning.execute import ExecuteSettings
-from sim_training.domains import find_domain, world_task
+from resync_robot.sim_training.domains import find_domain, world_task
 from tests.libraries import DOMAIN, given_library
 
 CORNERED = find_domain(DOMAIN)
@@ -291,7 +291,7 @@ def test_the_table_is_lost_before_the_file_is(library: Path, tmp_path: Path, mon
         raise BrokenPipeError
 
     monkeypatch.setattr("resync_robot.progress.say", nobody_reads)
-    monkeypatch.setattr("sim_training.parallel.parallel_map", pretended)
+    monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", pretended)
     with pytest.raises(BrokenPipeError):
         evaluate.evaluate(evaluate.EvaluateConfig(library=(library,), json=tmp_path / "rows.json"))
     assert len(json.loads((tmp_path / "rows.json").read_text())["episodes"]) == 10 * len(CORNERED.scenarios)
@@ -303,7 +303,7 @@ def test_the_table_is_lost_before_the_file_is(library: Path, tmp_path: Path, mon
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, library: Path) -> Callable[..., int]:
     """`evaluate` with a library and episodes that cost nothing."""
-    monkeypatch.setattr("sim_training.parallel.parallel_map", pretended)
+    monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", pretended)
     return lambda *args: cli.main(["evaluate", "--library", str(library), *map(str, args)])
 
 
@@ -368,12 +368,12 @@ def test_what_was_finished_is_kept_named_and_gone_on_with(
 ) -> None:
     args = ("--scenarios", "s0", "s1", "--seeds", "3", "4", "--episodes", "3", "--json")
     file = tmp_path / "rows.json"
-    monkeypatch.setattr("sim_training.parallel.parallel_map", interrupted_after(5))
+    monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", interrupted_after(5))
     assert quick(*args, file) == 130
     assert f"5 of 12 are finished and kept in {file}; go on with: --resume --json {file}" in caplog.text
     assert "| resync |" not in capsys.readouterr().out, "no table of some of them"
     assert len(json.loads(file.read_text())["episodes"]) == 5
-    monkeypatch.setattr("sim_training.parallel.parallel_map", pretended)
+    monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", pretended)
     assert quick(*args, file) == 2
     assert "holds an unfinished evaluation (5 of 12)" in capsys.readouterr().err
     assert quick(*args, file, "--resume") == 0
@@ -390,10 +390,12 @@ def test_a_finished_evaluation_is_shown_again_and_can_be_added_to(
     args = ("--scenarios", "s0", "--json", tmp_path / "rows.json", "--episodes")
     assert quick(*args, 2) == 0
     first = capsys.readouterr().out
-    monkeypatch.setattr("sim_training.parallel.parallel_map", lambda run, jobs, *_: pytest.fail() if jobs else ())
+    monkeypatch.setattr(
+        "resync_robot.sim_training.parallel.parallel_map", lambda run, jobs, *_: pytest.fail() if jobs else ()
+    )
     assert quick(*args, 2, "--resume") == 0
     assert capsys.readouterr().out == first
-    monkeypatch.setattr("sim_training.parallel.parallel_map", pretended)
+    monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", pretended)
     assert quick(*args, 4, "--resume") == 0
     assert "of 4 |" in capsys.readouterr().out
 
@@ -486,7 +488,7 @@ def test_the_file_is_written_now_and_then(
             counts.append(len(json.loads(file.read_text())["episodes"]) if file.exists() else 0)
 
     monkeypatch.setattr("resync_robot.result_file.KEEP_EVERY_S", 0.0)
-    monkeypatch.setattr("sim_training.parallel.parallel_map", watched)
+    monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", watched)
     assert quick("--scenarios", "s0", "--episodes", "3", "--json", file) == 0
     assert counts == [1, 2, 3]
 

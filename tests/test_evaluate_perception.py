@@ -12,22 +12,22 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from perception.blocks import BlockEstimate
-from perception.objects import SceneEstimate
-from perception.pose import BoxEstimate
-from perception.scan import Scan
 from resync_robot import cli
 from resync_robot.core.errors import RenderError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import BLOCK
+from resync_robot.perception.blocks import BlockEstimate
+from resync_robot.perception.objects import SceneEstimate
+from resync_robot.perception.pose import BoxEstimate
+from resync_robot.perception.scan import Scan
 from resync_robot.perception_report import ALL, LEVELS, draw_reliability, perception_report, perception_table
 from resync_robot.perception_trial import ObjectRow, SceneRow, _Trial, compare
-from sim_training.domains.layouts import THE_BOX, R
-from sim_training.perception_scenes import LOWER, TOUCHING, TWIN, UPPER, draw_scene
-from sim_training.scene import require_renderer
-from sim_training.sensor import NoisySensor
-from sim_training.world import SimWorld
+from resync_robot.sim_training.domains.layouts import THE_BOX, R
+from resync_robot.sim_training.perception_scenes import LOWER, TOUCHING, TWIN, UPPER, draw_scene
+from resync_robot.sim_training.scene import require_renderer
+from resync_robot.sim_training.sensor import NoisySensor
+from resync_robot.sim_training.world import SimWorld
 
 SCENES = [draw_scene(1000, i) for i in range(60)]
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from resync_robot.evaluation_report import EpisodeRow, failure_reason, report, table, wilson
-from sim_training.domains import find_domain
+from resync_robot.sim_training.domains import find_domain
 from tests.libraries import DOMAIN
 
 CORNERED = find_domain(DOMAIN)

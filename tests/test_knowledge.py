@@ -26,7 +26,7 @@ from resync_robot.learning.model import Concepts
 from resync_robot.planning.execute import Affordance
 from resync_robot.planning.pddl import domain_to_pddl
 from resync_robot.planning.search import plan
-from sim_training.domains import find_domain
+from resync_robot.sim_training.domains import find_domain
 from tests import scenes
 from tests.libraries import DOMAIN, given_library, recovery_record
 

@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import Command, Halt, RobotState, StaleError
 from resync_robot.core.episode import Episode, EpisodeMeta, EventKind, Timing, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import Ending, Outcome
 from resync_robot.core.world import CameraFrame
+from resync_robot.hardware.base import Command, Halt, RobotState, StaleError
 from resync_robot.knowledge import initial_model
 from resync_robot.planning.execute import End
 from resync_robot.planning.search import plan
 from resync_robot.recorder import CLOUD_POINTS, Recorder, cloud
-from sim_training.domains import find_domain
+from resync_robot.sim_training.domains import find_domain
 from tests import scenes
 from tests.libraries import DOMAIN
 from tests.scenes import B0, B1, R

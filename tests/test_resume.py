@@ -16,7 +16,7 @@ import pytest
 from resync_robot import cli, stages
 from resync_robot.core.damage import AGAIN
 from resync_robot.core.rig import load_rig
-from sim_training import ppo
+from resync_robot.sim_training import ppo
 from tests.run_folders import DAMAGES, copy_of, files_of, make_run
 from tests.test_run_folder import other_rig
 

@@ -20,8 +20,8 @@ from resync_robot.core.lock import LOCK, sole_writer
 from resync_robot.core.rig import load_rig
 from resync_robot.knowledge import learned_model
 from resync_robot.run_settings import SHAPING, RunSettings
+from resync_robot.sim_training.domains import find_domain
 from resync_robot.train import TrainConfig
-from sim_training.domains import find_domain
 from tests.libraries import DOMAIN
 
 

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import SERVO_PERIOD
-from hardware.sim import Physics
+from resync_robot.hardware.base import SERVO_PERIOD
+from resync_robot.hardware.sim import Physics
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from hardware.base import Connected, Robot
-from hardware.emulator.lab import LabClient
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.hardware.base import Connected, Robot
+from resync_robot.hardware.emulator.lab import LabClient
 
 
 class EmulatedCamera(Connected):

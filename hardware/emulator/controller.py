@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import SERVO_PERIOD
-from hardware.emulator.arm import Measured, PhysicsArm
-from hardware.emulator.judge import Judge
-from hardware.emulator.program import Command, ControlProgram
-from hardware.emulator.variables import Value
 from resync_robot.core import spatial
 from resync_robot.core.machines import ARMS, ArmModel
+from resync_robot.hardware.base import SERVO_PERIOD
+from resync_robot.hardware.emulator.arm import Measured, PhysicsArm
+from resync_robot.hardware.emulator.judge import Judge
+from resync_robot.hardware.emulator.program import Command, ControlProgram
+from resync_robot.hardware.emulator.variables import Value
 
 _log = logging.getLogger(__name__)
 

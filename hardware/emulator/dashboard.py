@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from hardware.emulator.controller import Controller, RobotMode, SafetyMode
-from hardware.emulator.lines import LineConversation
+from resync_robot.hardware.emulator.controller import Controller, RobotMode, SafetyMode
+from resync_robot.hardware.emulator.lines import LineConversation
 
 BANNER = b"Connected: Universal Robots Dashboard Server\n"
 MAX_LINE = 1024

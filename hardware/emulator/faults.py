@@ -6,9 +6,9 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from hardware.emulator.controller import RobotMode, SafetyMode
-from hardware.emulator.server import Emulator
 from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.hardware.emulator.controller import RobotMode, SafetyMode
+from resync_robot.hardware.emulator.server import Emulator
 
 
 def _safety(mode: SafetyMode) -> Callable[[Emulator], None]:

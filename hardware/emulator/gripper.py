@@ -10,9 +10,9 @@ import re
 
 import numpy as np
 
-from hardware.base import SERVO_PERIOD
-from hardware.emulator.lines import LineConversation
 from resync_robot.core.machines import GRIPPERS, GripperModel
+from resync_robot.hardware.base import SERVO_PERIOD
+from resync_robot.hardware.emulator.lines import LineConversation
 
 OPEN_COUNT, CLOSED_COUNT = 3, 230
 ACTIVATION_S = 0.6

@@ -7,9 +7,9 @@ from collections import deque
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import SERVO_PERIOD
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import ArmRig
+from resync_robot.hardware.base import SERVO_PERIOD
 
 ROUNDING = 1e-6
 """Relative; of a third difference over 2 ms."""

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from hardware.base import Connected, RobotError
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import TYPES
 from resync_robot.core.world import Window
+from resync_robot.hardware.base import Connected, RobotError
 
 PORT = 30910
 MAX_LINE = 1 << 20
@@ -54,7 +54,7 @@ class LabClient(Connected):
         except OSError as error:
             raise RobotError(
                 f"no emulated lab at {address}:{port}: {error.strerror or error}",
-                "start one in another terminal:  resync-robot emulate --rig hardware/emulated.toml",
+                "start one in another terminal:  resync-robot emulate",
             ) from None
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
@@ -68,7 +68,7 @@ class LabClient(Connected):
         self.ask({"do": "lay out", "domain": domain, "scenario": scenario, "seed": seed, "episode": episode})
 
     def lay_out_bench(self, bench: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """Put what a calibration looks at before the robot, as `sim_training.calibration_scene.Bench` has it.
+        """Put what a calibration looks at before the robot: a `resync_robot.sim_training.calibration_scene.Bench`.
 
         Returns:
             (4, 4) where each camera really is in its mount, by name.

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from hardware.base import SERVO_PERIOD
-from hardware.emulator.variables import Value
 from resync_robot.core import spatial
 from resync_robot.core.errors import MotionError
+from resync_robot.hardware.base import SERVO_PERIOD
+from resync_robot.hardware.emulator.variables import Value
 
 if TYPE_CHECKING:
-    from hardware.emulator.controller import Controller
+    from resync_robot.hardware.emulator.controller import Controller
 
 _log = logging.getLogger(__name__)
 

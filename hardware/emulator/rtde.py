@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from hardware.emulator.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, Recipe, Value
+from resync_robot.hardware.emulator.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, Recipe, Value
 
 HEADER = struct.Struct(">HB")
 MAX_PACKET = 4096

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from hardware.emulator.controller import Controller
+from resync_robot.hardware.emulator.controller import Controller
 
 _log = logging.getLogger(__name__)
 MAX_SCRIPT = 1 << 20

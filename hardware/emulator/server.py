@@ -15,13 +15,13 @@ from concurrent.futures import TimeoutError as FutureTimeout
 from types import TracebackType
 from typing import Protocol, Self, TypeVar
 
-from hardware.base import SERVO_PERIOD, RobotError
-from hardware.emulator.controller import Controller
-from hardware.emulator.dashboard import BANNER, DashboardClient
-from hardware.emulator.gripper import EmulatedGripper, GripperClient
-from hardware.emulator.rtde import ProtocolError, RtdeClient
-from hardware.emulator.script import ScriptClient
-from hardware.emulator.variables import Value
+from resync_robot.hardware.base import SERVO_PERIOD, RobotError
+from resync_robot.hardware.emulator.controller import Controller
+from resync_robot.hardware.emulator.dashboard import BANNER, DashboardClient
+from resync_robot.hardware.emulator.gripper import EmulatedGripper, GripperClient
+from resync_robot.hardware.emulator.rtde import ProtocolError, RtdeClient
+from resync_robot.hardware.emulator.script import ScriptClient
+from resync_robot.hardware.emulator.variables import Value
 
 T = TypeVar("T")
 _log = logging.getLogger(__name__)

@@ -14,6 +14,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -68,6 +69,19 @@ FIGURE = starting_with(
 )
 REPORT = with_tables("a report that this program wrote", ".json", json.loads, "provenance", "rows", "summary")
 RIG = with_tables("a rig file", ".toml", tomllib.loads, "arm", "gripper", "cameras")
+
+EMULATED = "emulated"
+"""Name of the rig whose file comes with this package."""
+
+
+def packaged_rig(name: str) -> Path | None:
+    """Where the rig file lies that comes with this package by that name; None where none does, or a file here has it.
+
+    There is one, "emulated": hardware/emulated.toml of a checkout.
+    """
+    if name != EMULATED or Path(name).exists():
+        return None
+    return Path(str(files("resync_robot.hardware").joinpath("emulated.toml")))
 
 
 def read_text(path: Path) -> str:

@@ -22,7 +22,7 @@ from resync_robot.core.errors import TrainingError
 from resync_robot.core.files import read_text, whole_folder, write_text
 from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ, STATE_NAMES, VIEWS
 from resync_robot.learning.demonstrations import Demonstrations
-from sim_training.demos.rollouts import Segment
+from resync_robot.sim_training.demos.rollouts import Segment
 
 VERSION = 5
 """3 had h264 videos, which do not go into one dataset with others; 4 had no hashes of its files."""

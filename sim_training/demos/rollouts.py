@@ -27,9 +27,9 @@ from resync_robot.learning.camera_view import (
     to_hand,
 )
 from resync_robot.learning.recovery_policy import up_axis
-from sim_training.demos.recoveries import RenderedRecovery, Seen
-from sim_training.demos.starts import Start
-from sim_training.recovery import RecoverySettings, is_recovered, is_tipped
+from resync_robot.sim_training.demos.recoveries import RenderedRecovery, Seen
+from resync_robot.sim_training.demos.starts import Start
+from resync_robot.sim_training.recovery import RecoverySettings, is_recovered, is_tipped
 
 Teacher = Callable[[Tensor], Tensor]
 """(n, 19) observations of exact states -> (n, 3) actions."""

@@ -11,7 +11,7 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.learning.failures import PairGaussian
-from sim_training.randomise import PICTURED, Ranges, draw_physics
+from resync_robot.sim_training.randomise import PICTURED, Ranges, draw_physics
 
 APART = 0.10
 """m between the centres of blocks, so that none begins inside another."""

@@ -8,9 +8,9 @@ import numpy as np
 
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.task import Domain, Task
-from sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
-from sim_training.lights import HARD, draw_lighting
-from sim_training.solver import SHIPPED, Solver, with_solver
+from resync_robot.sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
+from resync_robot.sim_training.lights import HARD, draw_lighting
+from resync_robot.sim_training.solver import SHIPPED, Solver, with_solver
 
 DOMAINS: dict[str, Domain] = {CORNERED_INSERTION_S.name: CORNERED_INSERTION_S}
 

@@ -16,9 +16,9 @@ from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Variab
 from resync_robot.core.task import Domain, Scenario, Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.learning.failures import place_relative, relative_pose
-from sim_training.domains.layouts import THE_BOX, Layout, block_features, sample_task
-from sim_training.parts import CLEARANCE
-from sim_training.randomise import PRACTICE, UNSEEN, USUAL, Ranges
+from resync_robot.sim_training.domains.layouts import THE_BOX, Layout, block_features, sample_task
+from resync_robot.sim_training.parts import CLEARANCE
+from resync_robot.sim_training.randomise import PRACTICE, UNSEEN, USUAL, Ranges
 
 HAND_EMPTY = Predicate("HandEmpty", (ROBOT,))
 HOLDING = Predicate("Holding", (ROBOT, BLOCK))

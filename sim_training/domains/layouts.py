@@ -13,8 +13,8 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
-from sim_training.parts import BOX_FLOOR
-from sim_training.randomise import USUAL, Ranges, draw_physics
+from resync_robot.sim_training.parts import BOX_FLOOR
+from resync_robot.sim_training.randomise import USUAL, Ranges, draw_physics
 
 R, THE_BOX = ROBOT("r"), BOX("box")
 

@@ -13,7 +13,7 @@ from resync_robot.core.skill import GroundSkill
 from resync_robot.knowledge import model_with_recovery
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE
 from resync_robot.learning.terminals import train_terminal
-from sim_training.domains import find_domain
+from resync_robot.sim_training.domains import find_domain
 from tests import scenes
 from tests.libraries import DOMAIN, recovery_record
 from tests.scenes import B0, B1, THE_BOX, R

@@ -17,9 +17,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from calibration.hand_eye import Calibrator, difference
-from calibration.judge import held_out, judge
-from calibration.propose import Proposer, board_in_hand, board_on_table
+from resync_robot.calibration.hand_eye import Calibrator, difference
+from resync_robot.calibration.judge import held_out, judge
+from resync_robot.calibration.propose import Proposer, board_in_hand, board_on_table
 from resync_robot.core.rig import load_rig
 from tests.calibration import synthetic
 

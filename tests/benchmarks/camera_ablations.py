@@ -22,12 +22,12 @@ from resync_robot.distil import SHARD, DistilPlan, distil, make_context
 from resync_robot.evaluation_report import wilson
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.run_folder import RunFolder
-from sim_training.demos.rollouts import try_student
-from sim_training.demos.starts import draw_start
-from sim_training.domains import find_domain
-from sim_training.parallel import parallel_map
-from sim_training.randomise import PICTURED, PRACTICE, UNSEEN
-from sim_training.recovery import RecoverySettings
+from resync_robot.sim_training.demos.rollouts import try_student
+from resync_robot.sim_training.demos.starts import draw_start
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.parallel import parallel_map
+from resync_robot.sim_training.randomise import PICTURED, PRACTICE, UNSEEN
+from resync_robot.sim_training.recovery import RecoverySettings
 
 WHOLE = DistilPlan(worlds=320, rounds=1, round_worlds=160, steps=1800, round_steps=1000)
 VARIANTS = {

@@ -24,8 +24,8 @@ from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT, TYPES
 from resync_robot.knowledge import make_library
 from resync_robot.learning.concepts import learn_concepts
 from resync_robot.learning.failures import PairGaussian
-from sim_training.domains import find_domain
-from sim_training.parallel import parallel_map
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.parallel import parallel_map
 
 
 def is_right(operators: Sequence[Operator], recovery: str) -> bool:

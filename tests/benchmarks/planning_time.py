@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from perception.pose import upright_covariance
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
@@ -23,8 +22,9 @@ from resync_robot.core.state import State
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.doubt import doubting
 from resync_robot.knowledge import learned_model, shipped_library
+from resync_robot.perception.pose import upright_covariance
 from resync_robot.planning.search import plan
-from sim_training.domains import find_domain, world_task
+from resync_robot.sim_training.domains import find_domain, world_task
 
 
 def estimated(state: State) -> State:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from calibration.board import BoardSpec
-from calibration.detect import Corners, project
-from calibration.hand_eye import Calibrator, View
+from resync_robot.calibration.board import BoardSpec
+from resync_robot.calibration.detect import Corners, project
+from resync_robot.calibration.hand_eye import Calibrator, View
 from resync_robot.core import spatial
 
 INTRINSICS = np.array([[308.6, 0, 212.0], [0, 308.6, 120.0], [0, 0, 1.0]])

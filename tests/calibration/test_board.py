@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.board import BoardSpec, write_board
+from resync_robot.calibration.board import BoardSpec, write_board
 from resync_robot.core.errors import ConfigError
 
 

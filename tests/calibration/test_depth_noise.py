@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.depth_noise import fit_noise
+from resync_robot.calibration.depth_noise import fit_noise
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.sensor_noise import SensorNoise
 from resync_robot.core.world import CameraFrame
-from sim_training.sensor import NoisySensor
+from resync_robot.sim_training.sensor import NoisySensor
 
 WRIST = load_rig().camera("wrist")
 

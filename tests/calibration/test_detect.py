@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.board import BoardSpec
-from calibration.detect import BoardDetector, Gate, Rejected, Sighting, locate, project
+from resync_robot.calibration.board import BoardSpec
+from resync_robot.calibration.detect import BoardDetector, Gate, Rejected, Sighting, locate, project
 from resync_robot.core import spatial
 from tests.calibration import synthetic
 from tests.calibration.synthetic import INTRINSICS, SPEC

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.board import BoardSpec
-from calibration.hand_eye import Calibrator, View, difference, second_tilt_deg
+from resync_robot.calibration.board import BoardSpec
+from resync_robot.calibration.hand_eye import Calibrator, View, difference, second_tilt_deg
 from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 from tests.calibration import synthetic

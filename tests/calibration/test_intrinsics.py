@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.detect import Corners
-from calibration.intrinsics import check_intrinsics
+from resync_robot.calibration.detect import Corners
+from resync_robot.calibration.intrinsics import check_intrinsics
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import load_rig
 from tests.calibration import synthetic

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.hand_eye import Calibrator, Noise
-from calibration.judge import HeldOutErrors, board_by, held_out, judge
+from resync_robot.calibration.hand_eye import Calibrator, Noise
+from resync_robot.calibration.judge import HeldOutErrors, board_by, held_out, judge
 from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 from tests.calibration import synthetic

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.detect import Corners, project
-from calibration.overlay import PREDICTED, ZOOM, compare_outline, draw_corners, draw_scene, save_picture
+from resync_robot.calibration.detect import Corners, project
+from resync_robot.calibration.overlay import PREDICTED, ZOOM, compare_outline, draw_corners, draw_scene, save_picture
 from resync_robot.core.errors import ConfigError
 from tests.calibration import synthetic
 from tests.calibration.synthetic import INTRINSICS, SPEC

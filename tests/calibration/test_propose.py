@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.detect import project
-from calibration.propose import Proposer, Reach, apart, board_in_hand, board_on_table, with_board
-from hardware.room import Room
+from resync_robot.calibration.detect import project
+from resync_robot.calibration.propose import Proposer, Reach, apart, board_in_hand, board_on_table, with_board
 from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import load_rig
+from resync_robot.hardware.room import Room
 from tests.calibration.synthetic import SPEC
 from tests.emulators import RIG_FILE
 

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.rig_file import update_hues, update_rig
+from resync_robot.calibration.rig_file import update_hues, update_rig
 from resync_robot.core import spatial
 from resync_robot.core.calibration_record import CalibrationRecord
 from resync_robot.core.errors import ConfigError, DiskError

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.detect import BoardDetector, Rejected, Sighting
-from calibration.shots import LIST, Judge, Shot, ShotFolder, read_shots, take, usable
+from resync_robot.calibration.detect import BoardDetector, Rejected, Sighting
+from resync_robot.calibration.shots import LIST, Judge, Shot, ShotFolder, read_shots, take, usable
 from resync_robot.core.errors import CalibrationError, ConfigError
 from tests.calibration import synthetic
 from tests.calibration.synthetic import INTRINSICS, SPEC

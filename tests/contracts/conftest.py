@@ -12,17 +12,17 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from hardware.base import Gripper, Robot
-from hardware.emulator.arm import KinematicArm
-from hardware.replay import ReplayRobot
-from hardware.robotiq import Robotiq
-from hardware.sim import SimGripper, SimRobot
-from hardware.ur7e import Ur7e
 from resync_robot.core.episode import EpisodeMeta, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.hardware.base import Gripper, Robot
+from resync_robot.hardware.emulator.arm import KinematicArm
+from resync_robot.hardware.replay import ReplayRobot
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.sim import SimGripper, SimRobot
+from resync_robot.hardware.ur7e import Ur7e
 from tests import emulators
 
 OPEN = 5 / 7
@@ -30,7 +30,7 @@ OPEN = 5 / 7
 
 
 class KinematicPhysics:
-    """A `hardware.sim.Physics` in empty space."""
+    """A `resync_robot.hardware.sim.Physics` in empty space."""
 
     def __init__(self, arm: KinematicArm) -> None:
         self.period, self.time, self.arm = 0.01, 0.0, arm

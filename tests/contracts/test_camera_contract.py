@@ -13,17 +13,17 @@ import cv2
 import numpy as np
 import pytest
 
-from hardware.base import Camera, RobotError, WindowedCamera
-from hardware.emulator.camera import EmulatedCamera
-from hardware.realsense import RealSense
-from hardware.realsense_device import load_pyrealsense2
-from hardware.replay import ReplayCamera, ReplayRobot
-from hardware.sim import SimCamera
 from resync_robot.core.episode import EpisodeMeta, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.hardware.base import Camera, RobotError, WindowedCamera
+from resync_robot.hardware.emulator.camera import EmulatedCamera
+from resync_robot.hardware.realsense import RealSense
+from resync_robot.hardware.realsense_device import load_pyrealsense2
+from resync_robot.hardware.replay import ReplayCamera, ReplayRobot
+from resync_robot.hardware.sim import SimCamera
 from tests.hardware.software_camera import HEIGHT, WIDTH, SoftwareSource
 
 RIG = load_rig()

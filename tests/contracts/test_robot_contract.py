@@ -7,10 +7,10 @@ import time
 import numpy as np
 import pytest
 
-from hardware.base import SERVO_PERIOD, Robot, RobotError, SafetyError
-from hardware.safety import Guard
-from hardware.stream import Stream
 from resync_robot.core.joints import JointTarget
+from resync_robot.hardware.base import SERVO_PERIOD, Robot, RobotError, SafetyError
+from resync_robot.hardware.safety import Guard
+from resync_robot.hardware.stream import Stream
 from tests.contracts.conftest import OPEN, Backend
 
 

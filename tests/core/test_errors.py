@@ -4,8 +4,8 @@ import copy
 
 import pytest
 
-from hardware.base import SafetyError
 from resync_robot.core.errors import LibraryError, ResyncError, UnknownNameError
+from resync_robot.hardware.base import SafetyError
 
 
 def test_a_message_ends_with_what_to_do() -> None:

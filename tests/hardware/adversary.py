@@ -9,14 +9,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hardware.base import SERVO_PERIOD, SafetyError
-from hardware.clearance import Clearance
-from hardware.room import MARGIN
-from hardware.safety import Guard
-from hardware.stream import JUMP_SLACK, Stream
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import SERVO_PERIOD, SafetyError
+from resync_robot.hardware.clearance import Clearance
+from resync_robot.hardware.room import MARGIN
+from resync_robot.hardware.safety import Guard
+from resync_robot.hardware.stream import JUMP_SLACK, Stream
 from tests.hardware.conftest import PerfectRobot
 from tests.stalls import never_excused
 

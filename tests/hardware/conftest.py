@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.base import Connected, RobotState
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.hardware.base import Connected, RobotState
 
 
 class LaggingPhysics:

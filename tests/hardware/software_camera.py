@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hardware.base import RobotError
-from hardware.realsense_device import Stream
+from resync_robot.hardware.base import RobotError
+from resync_robot.hardware.realsense_device import Stream
 
 WIDTH, HEIGHT = 160, 120
 DEPTH_M = 0.5

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-import hardware
-from hardware.robotiq import Robotiq
-from hardware.stream import Stream
-from hardware.ur7e import Ur7e
+import resync_robot
 from resync_robot.core.joints import JointTarget
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.ur7e import Ur7e
 from tests import emulators
 
 LISTEN = "0A"
@@ -72,7 +72,7 @@ def test_every_socket_belongs_to_the_configured_address(monkeypatch: pytest.Monk
 
 
 def test_nothing_is_unpickled_or_evaluated() -> None:
-    root = Path(hardware.__file__).parents[1]
+    root = Path(resync_robot.__file__).resolve().parents[1]
     rooms = ("hardware", "resync_robot", "sim_training", "perception", "policies", "calibration")
     found = []
     for file in (f for room in rooms for f in (root / room).rglob("*.py")):

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hardware.clearance import NAMES, Clearance, Gap, Obstacle, _distance
 from resync_robot.core import spatial
 from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import Rig, load_rig
+from resync_robot.hardware.clearance import NAMES, Clearance, Gap, Obstacle, _distance
 
 RIG = load_rig()
 CLEARANCE = Clearance(RIG)

@@ -6,9 +6,9 @@ import socket
 
 import pytest
 
-from hardware.base import RobotError
-from hardware.dashboard import Dashboard
 from resync_robot.core.machines import ARMS
+from resync_robot.hardware.base import RobotError
+from resync_robot.hardware.dashboard import Dashboard
 from tests import emulators
 
 
@@ -55,7 +55,7 @@ def test_it_must_be_connected() -> None:
 
 
 def test_a_program_is_stopped_only_by_the_controllers_own_word(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hardware.dashboard.END_S", 0.2)
+    monkeypatch.setattr("resync_robot.hardware.dashboard.END_S", 0.2)
     with emulators.emulated() as machine, Dashboard(machine.address) as dashboard:
         assert dashboard.stop_program(), "none runs"
         machine.call(lambda: machine.controller.start_program("rtde_control"))

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hardware.generator import Generator, Motion
 from resync_robot.core.rig import load_rig
+from resync_robot.hardware.generator import Generator, Motion
 from tests.hardware.adversary import ROUNDING, assert_rates_hold
 
 RIG = load_rig()

@@ -12,21 +12,21 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from hardware.base import RobotError
-from hardware.dashboard import Dashboard
-from hardware.emulator.arm import KinematicArm
-from hardware.emulator.controller import Controller, SafetyMode
-from hardware.emulator.dashboard import DashboardClient
-from hardware.emulator.gripper import EmulatedGripper, GripperClient
-from hardware.emulator.lab import LabClient
-from hardware.emulator.rtde import RtdeClient
-from hardware.emulator.server import Emulator
-from hardware.robotiq import Robotiq
-from hardware.ur7e import Ur7e
-from hardware.ur_process import LinkProcess
 from resync_robot.core.errors import ResyncError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.world import Window
+from resync_robot.hardware.base import RobotError
+from resync_robot.hardware.dashboard import Dashboard
+from resync_robot.hardware.emulator.arm import KinematicArm
+from resync_robot.hardware.emulator.controller import Controller, SafetyMode
+from resync_robot.hardware.emulator.dashboard import DashboardClient
+from resync_robot.hardware.emulator.gripper import EmulatedGripper, GripperClient
+from resync_robot.hardware.emulator.lab import LabClient
+from resync_robot.hardware.emulator.rtde import RtdeClient
+from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.ur7e import Ur7e
+from resync_robot.hardware.ur_process import LinkProcess
 from tests import emulators
 
 GRIPPER_WORDS = (

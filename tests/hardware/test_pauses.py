@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from hardware import pauses as module
-from hardware.pauses import BLAME_S, PAUSE_S, Pauses, blaming_a_pause
+from resync_robot.hardware import pauses as module
+from resync_robot.hardware.pauses import BLAME_S, PAUSE_S, Pauses, blaming_a_pause
 
 
 class Clock:

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hardware.base import RobotError, SkewError, StaleError, WindowedCamera
-from hardware.realsense import FRESH_S, RealSense
-from hardware.realsense_device import PipelineSource, load_pyrealsense2
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.world import Window
+from resync_robot.hardware.base import RobotError, SkewError, StaleError, WindowedCamera
+from resync_robot.hardware.realsense import FRESH_S, RealSense
+from resync_robot.hardware.realsense_device import PipelineSource, load_pyrealsense2
 from tests.hardware.software_camera import DEPTH_M, HEIGHT, WIDTH, SoftwareSource
 
 WINDOW = Window(40.0, 30.0, 48.0, 48.0)
@@ -105,7 +105,7 @@ def test_depth_and_colour_of_two_moments_are_no_picture(
         # Less than half a frame: the syncer still pairs them.
         source.skew_s = 0.012
         device.capture()
-        monkeypatch.setattr("hardware.realsense.MOST_SKEW_S", 0.010)
+        monkeypatch.setattr("resync_robot.hardware.realsense.MOST_SKEW_S", 0.010)
         with pytest.raises(SkewError, match="12 ms apart"):
             device.capture()
         assert device.dropped > 0

@@ -8,8 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-from hardware.base import SERVO_PERIOD, Command, RobotError, RobotState
-from hardware.replay import ReplayCamera, ReplayRobot, ReplayTruth
 from resync_robot.core.episode import Episode, EpisodeMeta, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import EpisodeError
@@ -17,6 +15,8 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.hardware.base import SERVO_PERIOD, Command, RobotError, RobotState
+from resync_robot.hardware.replay import ReplayCamera, ReplayRobot, ReplayTruth
 from resync_robot.recorder import Recorder
 from tests import scenes
 

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hardware.base import RobotError
-from hardware.emulator.arm import KinematicArm
-from hardware.emulator.gripper import EmulatedGripper
-from hardware.emulator.server import Emulator
-from hardware.robotiq import Robotiq
+from resync_robot.hardware.base import RobotError
+from resync_robot.hardware.emulator.arm import KinematicArm
+from resync_robot.hardware.emulator.gripper import EmulatedGripper
+from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.robotiq import Robotiq
 from tests import emulators
 
 pytestmark = pytest.mark.realtime

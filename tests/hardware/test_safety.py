@@ -12,15 +12,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-import hardware
-from hardware.base import SERVO_PERIOD, SafetyError
-from hardware.clearance import Obstacle
-from hardware.room import heights
-from hardware.safety import FIRST_RUN_SPEED, Guard
-from hardware.stream import FIRST_RUN_PACE, PACE_MARGIN, Stream
+import resync_robot
 from resync_robot.core import spatial
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import load_rig
+from resync_robot.hardware.base import SERVO_PERIOD, SafetyError
+from resync_robot.hardware.clearance import Obstacle
+from resync_robot.hardware.room import heights
+from resync_robot.hardware.safety import FIRST_RUN_SPEED, Guard
+from resync_robot.hardware.stream import FIRST_RUN_PACE, PACE_MARGIN, Stream
 from tests.emulators import RIG_FILE
 
 FEW = settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -308,7 +308,7 @@ def test_until_it_is_confirmed_it_still_brakes_as_hard_as_it_can(perfect_robot):
 
 def test_the_guard_is_the_only_road_to_a_command():
     """No other source file hands a setpoint to a robot, and one alone to the controller's client."""
-    root = Path(hardware.__file__).parents[1]
+    root = Path(resync_robot.__file__).resolve().parents[1]
     rooms = ("hardware", "resync_robot", "sim_training", "perception", "policies", "calibration")
     callers, senders = set(), set()
     for file in (f for room in rooms for f in (root / room).rglob("*.py")):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.base import Camera, Gripper, Robot, RobotError
-from hardware.sim import SimCamera, SimGripper, SimRobot
+from resync_robot.hardware.base import Camera, Gripper, Robot, RobotError
+from resync_robot.hardware.sim import SimCamera, SimGripper, SimRobot
 
 
 def test_physics_steps_on_every_fifth_setpoint_with_the_latest(lagging_physics, rig):

@@ -13,18 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import Command, ProtectiveStopError, RobotError, RobotState
-from hardware.emulator.controller import SafetyMode
-from hardware.emulator.faults import FAULTS
-from hardware.emulator.server import Emulator
-from hardware.robotiq import Robotiq
-from hardware.stream import Stream
-from hardware.travel import travel
-from hardware.ur7e import Ur7e
 from resync_robot.core.episode import EpisodeMeta, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import Command, ProtectiveStopError, RobotError, RobotState
+from resync_robot.hardware.emulator.controller import SafetyMode
+from resync_robot.hardware.emulator.faults import FAULTS
+from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.travel import travel
+from resync_robot.hardware.ur7e import Ur7e
 from tests import emulators
 
 pytestmark = pytest.mark.realtime

@@ -10,12 +10,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hardware.base import SERVO_PERIOD, SafetyError
-from hardware.sim import SimRobot
-from hardware.stream import JUMP_SLACK, OVERSHOOT, Stream
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
+from resync_robot.hardware.base import SERVO_PERIOD, SafetyError
+from resync_robot.hardware.sim import SimRobot
+from resync_robot.hardware.stream import JUMP_SLACK, OVERSHOOT, Stream
 from tests.emulators import RIG_FILE
 from tests.hardware.adversary import KINDS, MOVES, TAKEN, assert_nothing_out_of_limits, attack, starts
 

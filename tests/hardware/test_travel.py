@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.base import SERVO_PERIOD, SafetyError
-from hardware.sim import SimRobot
-from hardware.stream import Stream
-from hardware.travel import SETTLE_S, travel
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import SERVO_PERIOD, SafetyError
+from resync_robot.hardware.sim import SimRobot
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.travel import SETTLE_S, travel
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])

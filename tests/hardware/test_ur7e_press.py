@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulator.arm import KinematicArm, Measured
-from hardware.robotiq import Robotiq
-from hardware.stream import Stream
-from hardware.ur7e import Ur7e
 from resync_robot.core.joints import JointTarget
+from resync_robot.hardware.emulator.arm import KinematicArm, Measured
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.ur7e import Ur7e
 from tests import emulators
 from tests.hardware.adversary import assert_nothing_out_of_limits
 from tests.hardware.test_yielding import AHEAD, LIMIT, RIG, TOUCH, lowered

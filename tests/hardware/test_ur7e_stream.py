@@ -10,15 +10,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from hardware.base import SERVO_PERIOD
-from hardware.emulator.judge import Judge
-from hardware.emulator.server import Emulator
-from hardware.robotiq import Robotiq
-from hardware.stream import Stream
-from hardware.travel import travel
-from hardware.ur7e import Ur7e
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import SERVO_PERIOD
+from resync_robot.hardware.emulator.judge import Judge
+from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.travel import travel
+from resync_robot.hardware.ur7e import Ur7e
 from tests import emulators
 from tests.hardware.adversary import KINDS, MOVES, TAKEN, assert_nothing_out_of_limits, attack, starts
 from tests.stalls import never_excused

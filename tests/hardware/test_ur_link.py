@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import (
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import (
     SERVO_PERIOD,
     Command,
     Connected,
@@ -23,13 +25,11 @@ from hardware.base import (
     SafetyError,
     StaleError,
 )
-from hardware.safety import Guard
-from hardware.stream import PIECE, Stream
-from hardware.ur7e import Ur7e
-from hardware.ur_memory import SNAPSHOT, LinkMemory
-from hardware.ur_process import LinkProcess
-from resync_robot.core.joints import JointTarget
-from resync_robot.core.rig import Rig
+from resync_robot.hardware.safety import Guard
+from resync_robot.hardware.stream import PIECE, Stream
+from resync_robot.hardware.ur7e import Ur7e
+from resync_robot.hardware.ur_memory import SNAPSHOT, LinkMemory
+from resync_robot.hardware.ur_process import LinkProcess
 from tests import emulators
 from tests.hardware.adversary import assert_nothing_out_of_limits
 
@@ -227,7 +227,7 @@ def test_a_link_that_crashes_has_its_program_stopped_and_shows_nobody_its_traceb
 ) -> None:
     lab.knowledge = knowledge
     driver = lab.connect("raise")
-    with caplog.at_level("DEBUG", logger="hardware.ur_process"):
+    with caplog.at_level("DEBUG", logger="resync_robot.hardware.ur_process"):
         with pytest.raises(
             StaleError, match=r"lost \(its process ended with code 4: the library has a bad day\)"
         ) as error:
@@ -334,7 +334,7 @@ def test_a_controller_that_keeps_another_centre_of_the_payload_is_not_driven(lab
 def test_a_link_that_hangs_is_silent_and_not_waited_for(
     lab: Lab, starved: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hardware.ur_process.END_S", 0.2)
+    monkeypatch.setattr("resync_robot.hardware.ur_process.END_S", 0.2)
     driver = lab.connect("hang", freshness=0.5)
     stream = Stream(driver, lab.rig(0.5))
     if starved:

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hardware.base import SERVO_PERIOD
-from hardware.generator import Generator, Motion
-from hardware.room import Room
-from hardware.safety import FIRST_RUN_SPEED
-from hardware.stream import PRESSING_SPEED
-from hardware.yielding import FURTHEST, Yielding
 from resync_robot.core import spatial
 from resync_robot.core.rig import Rig, load_rig
+from resync_robot.hardware.base import SERVO_PERIOD
+from resync_robot.hardware.generator import Generator, Motion
+from resync_robot.hardware.room import Room
+from resync_robot.hardware.safety import FIRST_RUN_SPEED
+from resync_robot.hardware.stream import PRESSING_SPEED
+from resync_robot.hardware.yielding import FURTHEST, Yielding
 from tests.emulators import RIG_FILE, sister
 from tests.hardware.adversary import assert_nothing_out_of_limits
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from perception.belief import Belief
-from perception.catalogue import Catalogue
 from resync_robot.core.rig import Rig, load_rig
+from resync_robot.perception.belief import Belief
+from resync_robot.perception.catalogue import Catalogue
 from tests.perception.estimates import B0, B1, THE_BOX, R
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.belief import Belief
-from perception.blocks import SIZE_SIGMA, STOREY_SIGMA, BlockEstimate, Glimpse
-from perception.objects import SceneEstimate
-from perception.pose import HEIGHT_SIGMA, BoxEstimate, tie_height, upright_covariance
 from resync_robot.core import spatial
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.perception.belief import Belief
+from resync_robot.perception.blocks import SIZE_SIGMA, STOREY_SIGMA, BlockEstimate, Glimpse
+from resync_robot.perception.objects import SceneEstimate
+from resync_robot.perception.pose import HEIGHT_SIGMA, BoxEstimate, tie_height, upright_covariance
 
 R, THE_BOX, B0, B1 = ROBOT("r"), BOX("box"), BLOCK("b0"), BLOCK("b1")
 FLOOR = 0.005

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from perception.catalogue import CABINET, Catalogue
-from perception.scan import Scan
 from resync_robot.core import spatial
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception.catalogue import CABINET, Catalogue
+from resync_robot.perception.scan import Scan
 
 GREY, WOOD = (90, 95, 100), (225, 215, 200)
 CENTRE = (0.48, 0.0)

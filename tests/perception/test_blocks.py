@@ -10,15 +10,15 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from perception.belief import Belief
-from perception.blocks import CORNER_GAP, in_corner
-from perception.catalogue import Catalogue
-from perception.naming import AmbiguousObjectsError, MissingObjectsError
-from perception.objects import SceneEstimate, SceneEstimator
-from perception.segment import ColourSegmenter
 from resync_robot.core import spatial
 from resync_robot.core.rig import Rig
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.perception.belief import Belief
+from resync_robot.perception.blocks import CORNER_GAP, in_corner
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.naming import AmbiguousObjectsError, MissingObjectsError
+from resync_robot.perception.objects import SceneEstimate, SceneEstimator
+from resync_robot.perception.segment import ColourSegmenter
 from tests.perception.raycast import FLOOR, Table
 
 TWINS = Catalogue(hues={**Catalogue().hues, "b4": Catalogue().hues["b0"]})

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.catalogue import Catalogue
-from sim_training import parts
-from sim_training.domains.layouts import sample_block_sizes, sample_box
-from sim_training.randomise import BLOCK_HUES, UNSEEN, USUAL
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.sim_training import parts
+from resync_robot.sim_training.domains.layouts import sample_block_sizes, sample_box
+from resync_robot.sim_training.randomise import BLOCK_HUES, UNSEEN, USUAL
 
 WORST = 0.002
 """m by which a size may be measured wrong, beneath bright lights."""

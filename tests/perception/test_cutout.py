@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from perception.cutout import cut_out
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.world import CameraFrame, Window
+from resync_robot.perception.cutout import cut_out
 
 CAMERA = load_rig().camera("front")
 

@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.belief import Belief
-from perception.catalogue import Catalogue, Lid
-from perception.fittings import FittingEstimate
-from perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError
-from perception.objects import SceneEstimate, SceneEstimator
-from perception.outline import Votes, grid, least_seen_edge, outward_of_rectangle
-from perception.scan import Scan
 from resync_robot.core import spatial
 from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.core.rig import Rig
 from resync_robot.core.vocabulary import BOX, DRAWER, LID, ROBOT
-from sim_training.sensor import NoisySensor
+from resync_robot.perception.belief import Belief
+from resync_robot.perception.catalogue import Catalogue, Lid
+from resync_robot.perception.fittings import FittingEstimate
+from resync_robot.perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError
+from resync_robot.perception.objects import SceneEstimate, SceneEstimator
+from resync_robot.perception.outline import Votes, grid, least_seen_edge, outward_of_rectangle
+from resync_robot.perception.scan import Scan
+from resync_robot.sim_training.sensor import NoisySensor
 from tests.perception.raycast import CENTRE, FLOOR, INNER, RIM, Table
 
 COLOURS = {**Catalogue().hues, "lid": 0.80, "drawer": 0.48, "drawer_cabinet": 0.25}

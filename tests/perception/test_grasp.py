@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from perception.belief import Belief
 from resync_robot.core import spatial
 from resync_robot.core.rig import Rig
 from resync_robot.core.vocabulary import BLOCK
+from resync_robot.perception.belief import Belief
 from tests.perception.estimates import B0, B1, FLOOR, HEIGHT, THE_BOX, WIDTH, R, block, grasp, robot, scene
 
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.catalogue import Catalogue
-from perception.hues import ALIKE, Hue, apart, find_hues, name_hues
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.hues import ALIKE, Hue, apart, find_hues, name_hues
 from tests.perception.raycast import GREY, Table
 
 LAB = Catalogue(hues={"cyan": 0.50, "pink": 0.92, "orange": 0.08})

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.blocks import BlockEstimate, Glimpse
-from perception.naming import name_blocks
-from perception.objects import SceneEstimate
-from perception.pose import BoxEstimate
+from resync_robot.perception.blocks import BlockEstimate, Glimpse
+from resync_robot.perception.naming import name_blocks
+from resync_robot.perception.objects import SceneEstimate
+from resync_robot.perception.pose import BoxEstimate
 
 ALIKE = (("b0", "b4"), ("b1",))
 NAMES = ("b0", "b1", "b4")

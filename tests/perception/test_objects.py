@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.catalogue import Catalogue
-from perception.objects import SceneEstimate, SceneEstimator, catalogue_of
-from perception.scan import Scan
 from resync_robot.core import spatial
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.objects import SceneEstimate, SceneEstimator, catalogue_of
+from resync_robot.perception.scan import Scan
 from tests.perception.raycast import CENTRE, FLOOR, INNER, RIM, Table
 
 BLOCKS = {

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from perception.catalogue import Catalogue
-from perception.register import align_to_box
-from perception.segment import ColourSegmenter
-from perception.views import View, make_view
 from resync_robot.core import spatial
 from resync_robot.core.rig import Rig
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.register import align_to_box
+from resync_robot.perception.segment import ColourSegmenter
+from resync_robot.perception.views import View, make_view
 from tests.perception.raycast import CENTRE, FLOOR, INNER, RIM, THICKNESS, Table
 
 BOX = np.array([*CENTRE, FLOOR, 1, 0, 0, 0, INNER, INNER, RIM - FLOOR, THICKNESS])

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from perception.belief import Belief
-from perception.scan import Scan
 from resync_robot.core import spatial
 from resync_robot.core.errors import RenderError
 from resync_robot.core.rig import Rig
 from resync_robot.core.vocabulary import BLOCK
-from sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
-from sim_training.domains.layouts import THE_BOX, R
-from sim_training.sensor import NoisySensor
-from sim_training.world import SimWorld
+from resync_robot.perception.belief import Belief
+from resync_robot.perception.scan import Scan
+from resync_robot.sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
+from resync_robot.sim_training.domains.layouts import THE_BOX, R
+from resync_robot.sim_training.sensor import NoisySensor
+from resync_robot.sim_training.world import SimWorld
 
 SCENES = 10
 

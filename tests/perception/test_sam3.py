@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import torch
 
-from perception import sam3
-from perception.catalogue import Catalogue
-from perception.objects import SceneEstimator
-from perception.segment import ColourSegmenter
 from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig, Sam3Rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception import sam3
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.objects import SceneEstimator
+from resync_robot.perception.segment import ColourSegmenter
 from tests.perception.raycast import FLOOR, Table
 
 PROMPTS = {"b0": "red block", "b1": "blue block"}

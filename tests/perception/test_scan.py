@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from perception.scan import BOX_AND_SIDES, LEAST_TIP_HEIGHT, Scan, Viewpoint
 from resync_robot.core import spatial
 from resync_robot.core.errors import MotionError, PerceptionError
 from resync_robot.core.rig import Rig
+from resync_robot.perception.scan import BOX_AND_SIDES, LEAST_TIP_HEIGHT, Scan, Viewpoint
 
 
 def test_configurations_put_the_camera_where_the_viewpoints_say(rig: Rig) -> None:

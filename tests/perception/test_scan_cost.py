@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from perception.catalogue import Catalogue
-from perception.objects import SceneEstimator
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.objects import SceneEstimator
 from tests.perception.raycast import FLOOR, Table
 
 

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.catalogue import Catalogue
-from perception.segment import ColourSegmenter
 from resync_robot.core.errors import PerceptionError
 from resync_robot.core.world import CameraFrame
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.segment import ColourSegmenter
 
 CATALOGUE = Catalogue()
 WOOD = (225, 215, 200)

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from policies.camera_order import SIZE, Foretold, exchanged, foretell, support
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.learning.camera_view import VIEWS
+from resync_robot.policies.camera_order import SIZE, Foretold, exchanged, foretell, support
 from tests import scenes
 
 RIG = load_rig()

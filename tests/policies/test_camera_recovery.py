@@ -10,18 +10,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from policies.camera_recovery import MonitorSettings, camera_recovery_skill
-from policies.footing import BENEATH, LET_GO_RISE
-from policies.grasp import travel_height
-from policies.neural import RecoverySkillSettings
 from resync_robot.core.skill import Ending, Outcome
 from resync_robot.core.world import Cutout, Observation, Window
 from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS, Prediction
 from resync_robot.learning.recovery_policy import LOWEST_TIP
 from resync_robot.planning.execute import run_skill
-from sim_training.randomise import BLOCK_HUES, LOOKS, draw_looks
-from sim_training.sensor import NoisySensor, Tone
-from sim_training.world import SimWorld
+from resync_robot.policies.camera_recovery import MonitorSettings, camera_recovery_skill
+from resync_robot.policies.footing import BENEATH, LET_GO_RISE
+from resync_robot.policies.grasp import travel_height
+from resync_robot.policies.neural import RecoverySkillSettings
+from resync_robot.sim_training.randomise import BLOCK_HUES, LOOKS, draw_looks
+from resync_robot.sim_training.sensor import NoisySensor, Tone
+from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 from tests.policies.followers import RIG, Follower
 from tests.scenes import B0, THE_BOX, R

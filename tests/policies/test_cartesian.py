@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from policies.cartesian import GIVE_IN_STEP, Blocked, Hand, run_motion
 from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import Ending, Outcome
+from resync_robot.policies.cartesian import GIVE_IN_STEP, Blocked, Hand, run_motion
 from tests import scenes
 from tests.policies.followers import RIG, Follower
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import torch
 
-from policies import trunk
-from policies.diffusion import IMAGES, SIZES, DiffusionSettings, DiffusionStudent, load_student
-from policies.training import DistilSettings, Trainer, chunks_of, has_bf16, statistics_of
 from resync_robot.core.errors import PolicyError, TrainingError
 from resync_robot.core.rig import CameraRig, load_rig
 from resync_robot.distil import PLANS
 from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS
 from resync_robot.learning.demonstrations import Demonstrations
+from resync_robot.policies import trunk
+from resync_robot.policies.diffusion import IMAGES, SIZES, DiffusionSettings, DiffusionStudent, load_student
+from resync_robot.policies.training import DistilSettings, Trainer, chunks_of, has_bf16, statistics_of
 
 RIG = load_rig()
 SMALL = DiffusionSettings(keypoints=8, down_dims=(16, 32), inference_steps=2)

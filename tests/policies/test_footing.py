@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from policies.cartesian import GIVE_IN_STEP, Hand
-from policies.footing import ABOVE, BENEATH, LET_GO_RISE, PRESSED, RISE, RISE_STEPS, Footing, press_on
 from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.learning.recovery_policy import STUD
+from resync_robot.policies.cartesian import GIVE_IN_STEP, Hand
+from resync_robot.policies.footing import ABOVE, BENEATH, LET_GO_RISE, PRESSED, RISE, RISE_STEPS, Footing, press_on
 from tests import scenes
 from tests.policies.followers import RIG, Follower
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from policies.grasp import (
+from resync_robot.core import spatial
+from resync_robot.policies.grasp import (
     SPARE,
     best_approach,
     best_yaw,
@@ -16,7 +17,6 @@ from policies.grasp import (
     finger_corners,
     travel_height,
 )
-from resync_robot.core import spatial
 from tests import scenes
 from tests.policies.followers import RIG
 from tests.scenes import B0, B1, B2, BOX_X, CORNER, HEIGHT, INNER, WALL, WIDTH

@@ -9,14 +9,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from policies.grasp import travel_height
-from policies.neural import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, recovery_skill, skill_from
-from policies.scripted import scripted_skills
 from resync_robot.core.skill import Ending, Outcome
 from resync_robot.learning.recovery_policy import LOWEST_TIP, OBSERVATION_SIZE, STEP
 from resync_robot.planning.execute import run_skill
-from sim_training.domains.cornered_insertion_s import holding
-from sim_training.world import SimWorld
+from resync_robot.policies.grasp import travel_height
+from resync_robot.policies.neural import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, recovery_skill, skill_from
+from resync_robot.policies.scripted import scripted_skills
+from resync_robot.sim_training.domains.cornered_insertion_s import holding
+from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 from tests.libraries import recovery_record
 from tests.policies.followers import RIG, Follower

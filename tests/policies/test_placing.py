@@ -8,10 +8,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from policies.grasp import SPARE, finger_clearance, finger_corners
-from policies.placing import ANOTHER, LEAST_ROOM, REGION, free_places
-from policies.scripted import ScriptedSettings
 from resync_robot.core.state import State
+from resync_robot.policies.grasp import SPARE, finger_clearance, finger_corners
+from resync_robot.policies.placing import ANOTHER, LEAST_ROOM, REGION, free_places
+from resync_robot.policies.scripted import ScriptedSettings
 from tests import scenes
 from tests.policies.followers import RIG
 from tests.scenes import B0, BOX_X, INNER, WIDTH

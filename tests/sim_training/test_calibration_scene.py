@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.detect import BoardDetector, Sighting, project
-from calibration.propose import Proposer, board_in_hand, board_on_table
+from resync_robot.calibration.detect import BoardDetector, Sighting, project
+from resync_robot.calibration.propose import Proposer, board_in_hand, board_on_table
 from resync_robot.core import spatial
 from resync_robot.core.errors import RenderError
 from resync_robot.core.rig import load_rig
-from sim_training.calibration_scene import CalibrationWorld, Poster, displaced, empty_task
+from resync_robot.sim_training.calibration_scene import CalibrationWorld, Poster, displaced, empty_task
 from tests.calibration.synthetic import SPEC
 
 RIG = load_rig()

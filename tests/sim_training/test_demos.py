@@ -13,7 +13,6 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.cutout import cut_out
 from resync_robot.core import spatial
 from resync_robot.core.damage import AGAIN
 from resync_robot.core.errors import TrainingError
@@ -32,13 +31,14 @@ from resync_robot.learning.camera_view import (
 )
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import BLOCK, STUD, wall_gaps
-from sim_training.demos import dataset
-from sim_training.demos.recoveries import RenderedRecovery, tilted
-from sim_training.demos.rollouts import RolloutSettings, Segment, demonstrate, look_around, try_student
-from sim_training.demos.starts import Start, draw_start
-from sim_training.domains import find_domain
-from sim_training.recovery import RecoverySettings
-from sim_training.world import SimWorld
+from resync_robot.perception.cutout import cut_out
+from resync_robot.sim_training.demos import dataset
+from resync_robot.sim_training.demos.recoveries import RenderedRecovery, tilted
+from resync_robot.sim_training.demos.rollouts import RolloutSettings, Segment, demonstrate, look_around, try_student
+from resync_robot.sim_training.demos.starts import Start, draw_start
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.recovery import RecoverySettings
+from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 from tests.run_folders import DAMAGES
 
@@ -360,7 +360,7 @@ def test_hand_axes_of_a_turned_box_are_the_box_s() -> None:
 
 
 def test_unseen_looks_do_not_change_the_rest_of_a_start() -> None:
-    from sim_training.randomise import UNSEEN
+    from resync_robot.sim_training.randomise import UNSEEN
 
     usual = draw_start(DOMAIN, gaussians(), 5)
     unseen = draw_start(DOMAIN, gaussians(), 5, UNSEEN)

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from policies.cartesian import Hand
 from resync_robot.core import spatial
 from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.rig import load_rig
@@ -17,9 +16,10 @@ from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.learning.failures import relative_pose
 from resync_robot.planning.abstract import Abstraction
-from sim_training.domains import DOMAINS, find_domain, world_task
-from sim_training.domains.cornered_insertion_s import cover, expert, hand_empty, holding, on
-from sim_training.domains.layouts import CORNER_GAP, FREE_GAP, MIDDLING_GAP
+from resync_robot.policies.cartesian import Hand
+from resync_robot.sim_training.domains import DOMAINS, find_domain, world_task
+from resync_robot.sim_training.domains.cornered_insertion_s import cover, expert, hand_empty, holding, on
+from resync_robot.sim_training.domains.layouts import CORNER_GAP, FREE_GAP, MIDDLING_GAP
 from tests import scenes
 from tests.libraries import DOMAIN
 from tests.scenes import B0, B1, B2, THE_BOX, R

@@ -12,8 +12,17 @@ from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.knowledge import model_with_recovery
 from resync_robot.learning.failures import PairGaussian, relative_pose
-from sim_training.domains import find_domain
-from sim_training.dream import COMBINATIONS, REFERENCES, DreamSpec, dream, dream_specs, dream_task, recover, useful
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.dream import (
+    COMBINATIONS,
+    REFERENCES,
+    DreamSpec,
+    dream,
+    dream_specs,
+    dream_task,
+    recover,
+    useful,
+)
 from tests import scenes
 from tests.libraries import DOMAIN, recovery_record
 from tests.scenes import B0, B1, THE_BOX, R

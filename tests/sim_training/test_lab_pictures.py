@@ -12,9 +12,9 @@ import pytest
 
 from resync_robot.core.errors import RenderError, ResyncError
 from resync_robot.core.rig import load_rig
-from sim_training.calibration_scene import Bench, Poster, displaced
-from sim_training.lab_pictures import MAX_WINDOW_PX, Pictures
-from sim_training.world import SimWorld
+from resync_robot.sim_training.calibration_scene import Bench, Poster, displaced
+from resync_robot.sim_training.lab_pictures import MAX_WINDOW_PX, Pictures
+from resync_robot.sim_training.world import SimWorld
 from tests.emulators import RIG_FILE
 
 RIG = load_rig(RIG_FILE)

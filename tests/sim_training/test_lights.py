@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from resync_robot.core.rig import load_rig
-from sim_training.domains import find_domain, world_task
-from sim_training.lights import HARD, TRAINED, UNSEEN, draw_lighting
-from sim_training.world import SimWorld
+from resync_robot.sim_training.domains import find_domain, world_task
+from resync_robot.sim_training.lights import HARD, TRAINED, UNSEEN, draw_lighting
+from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 
 RIG = load_rig()

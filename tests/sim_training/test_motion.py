@@ -13,8 +13,8 @@ from resync_robot.core import spatial
 from resync_robot.core.rig import load_rig
 from resync_robot.core.sensor_noise import SensorNoise
 from resync_robot.core.world import CameraFrame
-from sim_training.motion import Motion, camera_motion, flow_of, smear_colour, smear_depth
-from sim_training.sensor import NoisySensor
+from resync_robot.sim_training.motion import Motion, camera_motion, flow_of, smear_colour, smear_depth
+from resync_robot.sim_training.sensor import NoisySensor
 
 RIG = load_rig()
 WRIST = RIG.camera("wrist")

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from resync_robot.core.errors import DiskError, LibraryError, UnknownNameError
-from sim_training.parallel import parallel_map
+from resync_robot.sim_training.parallel import parallel_map
 
 
 def ten() -> int:
@@ -80,7 +80,7 @@ def test_a_context_that_cannot_be_made_says_why(workers: int) -> None:
 ENDLESS = """
 import os, time
 from functools import partial
-from sim_training.parallel import parallel_map
+from resync_robot.sim_training.parallel import parallel_map
 
 def work(context, item):
     print(os.getpid(), flush=True)
@@ -118,7 +118,7 @@ LONG = """
 import os, sys, time
 from functools import partial
 from resync_robot.signals import raised
-from sim_training.parallel import parallel_map
+from resync_robot.sim_training.parallel import parallel_map
 
 def work(context, item):
     print(os.getpid(), flush=True)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from sim_training.parts import (
+from resync_robot.sim_training.parts import (
     BOX_FLOOR,
     CHAMFER,
     CLEARANCE,

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_training import textures
-from sim_training.randomise import BLOCK_HUES, HARD, PICTURED, PRACTICE, UNSEEN, USUAL, draw_physics
+from resync_robot.sim_training import textures
+from resync_robot.sim_training.randomise import BLOCK_HUES, HARD, PICTURED, PRACTICE, UNSEEN, USUAL, draw_physics
 
 NAMES = ("b0", "b1", "b2", "b3")
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from resync_robot.core import spatial
 from resync_robot.learning.recovery_policy import BLOCK, BOX, COMMANDED, STUD, TIP, tip_above_stud, wall_gaps
-from sim_training.recovery import (
+from resync_robot.sim_training.recovery import (
     RecoverySettings,
     draw_starts,
     draw_still,

@@ -11,8 +11,8 @@ from resync_robot.core import spatial
 from resync_robot.core.errors import ConfigError, RenderError, UnknownNameError
 from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import load_rig
-from sim_training.scene import BuiltScene, build_scene
-from sim_training.world import SimWorld
+from resync_robot.sim_training.scene import BuiltScene, build_scene
+from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 from tests.scenes import B0, THE_BOX
 

@@ -12,7 +12,7 @@ from resync_robot.core import spatial
 from resync_robot.core.rig import CameraRig, load_rig
 from resync_robot.core.sensor_noise import SensorNoise
 from resync_robot.core.world import CameraFrame
-from sim_training.sensor import NoisySensor, Tone
+from resync_robot.sim_training.sensor import NoisySensor, Tone
 
 UNIT = CameraFrame.DEPTH_UNIT_M
 WRIST = load_rig().camera("wrist")

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_training.domains import find_domain, world_task
-from sim_training.randomise import draw_solver
-from sim_training.solver import REFERENCE, SHIPPED, solver_of
+from resync_robot.sim_training.domains import find_domain, world_task
+from resync_robot.sim_training.randomise import draw_solver
+from resync_robot.sim_training.solver import REFERENCE, SHIPPED, solver_of
 from tests.benchmarks.drag_test import FIRST, centred, drag
 
 CORNERED = find_domain("cornered-insertion-s")

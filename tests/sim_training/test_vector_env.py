@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from resync_robot.core.rig import load_rig
-from sim_training.vector_env import CONTROL_PERIOD, RECOVERY_TORQUE, RecoveryScenes
-from sim_training.world import SimWorld
+from resync_robot.sim_training.vector_env import CONTROL_PERIOD, RECOVERY_TORQUE, RecoveryScenes
+from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 from tests.scenes import B0
 from tests.sim_training.test_world import joints_at

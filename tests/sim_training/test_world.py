@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from policies.cartesian import Hand
 from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.vocabulary import BLOCK
-from sim_training.scene import TORQUE
-from sim_training.world import SimWorld
+from resync_robot.policies.cartesian import Hand
+from resync_robot.sim_training.scene import TORQUE
+from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 from tests.scenes import B0, B1, THE_BOX, R
 

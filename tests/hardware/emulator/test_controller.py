@@ -7,15 +7,15 @@ import struct
 import numpy as np
 import pytest
 
-from hardware.base import SERVO_PERIOD
-from hardware.emulator.arm import KinematicArm
-from hardware.emulator.controller import Controller, ControllerSettings, RobotMode, Runtime, SafetyMode
-from hardware.emulator.dashboard import DashboardClient
-from hardware.emulator.program import DONE, READY, Command
-from hardware.emulator.rtde import RtdeClient, packet
-from hardware.emulator.script import ScriptClient
 from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import load_rig
+from resync_robot.hardware.base import SERVO_PERIOD
+from resync_robot.hardware.emulator.arm import KinematicArm
+from resync_robot.hardware.emulator.controller import Controller, ControllerSettings, RobotMode, Runtime, SafetyMode
+from resync_robot.hardware.emulator.dashboard import DashboardClient
+from resync_robot.hardware.emulator.program import DONE, READY, Command
+from resync_robot.hardware.emulator.rtde import RtdeClient, packet
+from resync_robot.hardware.emulator.script import ScriptClient
 
 HOME = load_rig().arm.home
 SCRIPT = b"def rtde_control():\n  read_input_integer_register(0)\nend\n"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from hardware.base import SERVO_PERIOD
-from hardware.emulator.gripper import CLOSED_COUNT, OPEN_COUNT, EmulatedGripper, GripperClient
 from resync_robot.core.machines import GRIPPERS, GripperModel
+from resync_robot.hardware.base import SERVO_PERIOD
+from resync_robot.hardware.emulator.gripper import CLOSED_COUNT, OPEN_COUNT, EmulatedGripper, GripperClient
 
 
 @pytest.fixture

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.base import SERVO_PERIOD
-from hardware.emulator.arm import KinematicArm
-from hardware.emulator.controller import Controller
-from hardware.emulator.judge import Judge
-from hardware.emulator.program import Command
-from hardware.generator import Generator, Motion
 from resync_robot.core.rig import load_rig
+from resync_robot.hardware.base import SERVO_PERIOD
+from resync_robot.hardware.emulator.arm import KinematicArm
+from resync_robot.hardware.emulator.controller import Controller
+from resync_robot.hardware.emulator.judge import Judge
+from resync_robot.hardware.emulator.program import Command
+from resync_robot.hardware.generator import Generator, Motion
 
 RIG = load_rig()
 HOME = RIG.arm.home

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.emulator.rtde import HEADER, ProtocolError, RtdeClient, packet
-from hardware.emulator.variables import FORMATS, INPUTS, LENGTHS, OUTPUTS, Recipe
+from resync_robot.hardware.emulator.rtde import HEADER, ProtocolError, RtdeClient, packet
+from resync_robot.hardware.emulator.variables import FORMATS, INPUTS, LENGTHS, OUTPUTS, Recipe
 
 VERSION = (5, 22, 0, 0)
 

@@ -8,13 +8,13 @@ import time
 import numpy as np
 import pytest
 
-from hardware.base import RobotError
-from hardware.emulator.arm import KinematicArm
-from hardware.emulator.controller import Controller
-from hardware.emulator.faults import FAULTS, FaultPlan, PlannedFault, parse_fault
-from hardware.emulator.server import DASHBOARD_PORT, GRIPPER_PORT, RTDE_PORT, Emulator
 from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.core.rig import load_rig
+from resync_robot.hardware.base import RobotError
+from resync_robot.hardware.emulator.arm import KinematicArm
+from resync_robot.hardware.emulator.controller import Controller
+from resync_robot.hardware.emulator.faults import FAULTS, FaultPlan, PlannedFault, parse_fault
+from resync_robot.hardware.emulator.server import DASHBOARD_PORT, GRIPPER_PORT, RTDE_PORT, Emulator
 from tests import emulators
 
 pytestmark = pytest.mark.realtime

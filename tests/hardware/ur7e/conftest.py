@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from hardware.emulator.server import Emulator
-from hardware.robotiq import Robotiq
-from hardware.ur7e import Ur7e
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.ur7e import Ur7e
 from tests import emulators
 
 

@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from hardware.base import RobotError
-from hardware.emulator.server import Emulator
-from hardware.stream import Recorder, Stream
-from hardware.ur7e import Ur7e
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import RobotError
+from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.stream import Recorder, Stream
+from resync_robot.hardware.ur7e import Ur7e
 
 
 def swing(stream: Stream, rig: Rig, seconds: float, begin: float = 0.0) -> None:

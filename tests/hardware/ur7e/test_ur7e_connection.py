@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from hardware.base import RobotError
-from hardware.emulator.controller import ControllerSettings, RobotMode, SafetyMode
-from hardware.emulator.server import Emulator
-from hardware.robotiq import Robotiq
-from hardware.stream import Stream
-from hardware.ur7e import Ur7e
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import RobotError
+from resync_robot.hardware.emulator.controller import ControllerSettings, RobotMode, SafetyMode
+from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.ur7e import Ur7e
 from tests import emulators
 from tests.hardware.ur7e.motions import wait_for
 

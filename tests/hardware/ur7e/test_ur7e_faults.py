@@ -12,16 +12,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.base import SERVO_PERIOD, Command, ProtectiveStopError, RobotError, RobotState, SafetyError, StaleError
-from hardware.emulator.controller import SafetyMode
-from hardware.emulator.faults import FAULTS
-from hardware.emulator.server import Emulator
-from hardware.stream import Stream
-from hardware.travel import travel
-from hardware.ur7e import Ur7e
 from resync_robot.core.episode import EpisodeMeta, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import (
+    SERVO_PERIOD,
+    Command,
+    ProtectiveStopError,
+    RobotError,
+    RobotState,
+    SafetyError,
+    StaleError,
+)
+from resync_robot.hardware.emulator.controller import SafetyMode
+from resync_robot.hardware.emulator.faults import FAULTS
+from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.travel import travel
+from resync_robot.hardware.ur7e import Ur7e
 from tests.hardware.ur7e.motions import during_motion, is_still, link_of, swing, wait_for
 
 pytestmark = pytest.mark.realtime
@@ -89,7 +97,7 @@ def test_a_protective_stop_is_acknowledged_after_5_s_and_begins_where_the_arm_is
 def test_an_acknowledgement_that_comes_too_early_is_an_error(
     machine: Emulator, robot: Ur7e, rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hardware.ur7e.UNLOCK_AFTER_S", 0.5)
+    monkeypatch.setattr("resync_robot.hardware.ur7e.UNLOCK_AFTER_S", 0.5)
     with robot:
         during_motion(robot, rig, lambda: machine.call(machine.controller.protective_stop))
         with pytest.raises(ProtectiveStopError, match="was not released: Cannot unlock"):
@@ -216,10 +224,10 @@ def test_a_killed_link_process_is_noticed(machine: Emulator, robot: Ur7e, rig: R
 
 DRIVER = """
 import sys, numpy as np
-from hardware.robotiq import Robotiq
-from hardware.stream import Stream
-from hardware.travel import travel
-from hardware.ur7e import Ur7e
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.travel import travel
+from resync_robot.hardware.ur7e import Ur7e
 from resync_robot.core.joints import JointTarget
 from tests import emulators
 rig = emulators.rig_at(sys.argv[1])

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from hardware.base import Halt, RobotError, StaleError
-from hardware.emulator.controller import SafetyMode
-from hardware.emulator.server import DASHBOARD_PORT, Emulator
-from hardware.stream import Stream
-from hardware.ur7e import Ur7e
 from resync_robot.core.rig import Rig
+from resync_robot.hardware.base import Halt, RobotError, StaleError
+from resync_robot.hardware.emulator.controller import SafetyMode
+from resync_robot.hardware.emulator.server import DASHBOARD_PORT, Emulator
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.ur7e import Ur7e
 from tests.hardware.ur7e.motions import during_motion, is_still, link_of, swing, wait_for
 
 pytestmark = pytest.mark.realtime
@@ -90,7 +90,7 @@ def test_where_it_does_not_nobody_says_that_the_robot_has_stopped(
         assert robot.halt() is Halt.UNKNOWN
     assert robot.halt() is Halt.UNKNOWN
     machine.frozen = False
-    warned = [record.getMessage() for record in caplog.records if record.name == "hardware.ur7e"]
+    warned = [record.getMessage() for record in caplog.records if record.name == "resync_robot.hardware.ur7e"]
     assert len(warned) == 1 and warned[0].startswith(f"{Halt.UNKNOWN.value} (")
     assert "Traceback" not in capfd.readouterr().err
 
@@ -119,7 +119,7 @@ def test_a_controller_that_thaws_before_the_end_is_believed(machine: Emulator, r
 def test_a_program_that_stays_is_not_taken_for_stopped(
     machine: Emulator, robot: Ur7e, rig: Rig, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("hardware.dashboard.END_S", 0.0)
+    monkeypatch.setattr("resync_robot.hardware.dashboard.END_S", 0.0)
     monkeypatch.setattr(machine.controller, "stop_program", lambda why: None)
     with robot:
         process = link_of(robot)
@@ -133,7 +133,7 @@ def test_a_program_that_stays_is_not_taken_for_stopped(
         # By the end it has.
         assert wait_for(lambda: machine.controller.program is None)
         assert robot.halt() is Halt.STOPPED
-    assert not [record for record in caplog.records if record.name == "hardware.ur7e"]
+    assert not [record for record in caplog.records if record.name == "resync_robot.hardware.ur7e"]
 
 
 def test_an_usual_end_is_known(machine: Emulator, robot: Ur7e, rig: Rig) -> None:
@@ -149,10 +149,10 @@ def test_an_usual_end_is_known(machine: Emulator, robot: Ur7e, rig: Rig) -> None
 
 DRIVER = """
 import sys, numpy as np
-from hardware.base import RobotError
-from hardware.robotiq import Robotiq
-from hardware.stream import Stream
-from hardware.ur7e import Ur7e
+from resync_robot.hardware.base import RobotError
+from resync_robot.hardware.robotiq import Robotiq
+from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.ur7e import Ur7e
 from resync_robot.core.joints import JointTarget
 from tests import emulators
 rig = emulators.rig_at(sys.argv[1])
