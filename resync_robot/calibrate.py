@@ -25,15 +25,17 @@ from resync_robot.calibration_settings import (
 class CalibrateConfig:
     """Calibrate the cameras of a rig: board, intrinsics, hand-eye, check, noise, hues."""
 
-    what: (
+    # By no name, --help calls options what they are and not "what options".
+    what: Annotated[
         Annotated[BoardConfig, tyro.conf.subcommand("board")]
         | Annotated[IntrinsicsConfig, tyro.conf.subcommand("intrinsics")]
         | Annotated[HandEyeConfig, tyro.conf.subcommand("hand-eye")]
         | Annotated[CheckConfig, tyro.conf.subcommand("check")]
         | Annotated[NoiseConfig, tyro.conf.subcommand("noise")]
-        | Annotated[HuesConfig, tyro.conf.subcommand("hues")]
-    )
-    """What to do."""
+        | Annotated[HuesConfig, tyro.conf.subcommand("hues")],
+        tyro.conf.arg(name=""),
+    ]
+    """What to do. Each has a --help of its own."""
 
 
 def calibrate(config: CalibrateConfig) -> int:

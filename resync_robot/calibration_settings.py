@@ -11,6 +11,7 @@ from resync_robot.calibration.board import BoardSpec
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.files import EMULATED, RIG, check_output, packaged_rig
 from resync_robot.core.options import check_range, check_seed
+from resync_robot.given import Given
 
 MOST_POSES, MOST_THINGS = 100, 4
 """Of one run: pictures of a board; things in a row."""
@@ -43,7 +44,7 @@ class LookConfig:
     camera: str = "wrist"
     """Which camera of the rig. For one on the flange the board lies on the table, for others the hand holds it."""
 
-    rig: Path | None = None
+    rig: Given[Path] = None
     """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
 
     board: BoardSpec = field(default_factory=BoardSpec)
@@ -58,10 +59,10 @@ class LookConfig:
     most_tilt: float = 45.0
     """Largest angle at which the board is looked at, 10 to 60 degrees. Large tilts are what determines the pose."""
 
-    views: Path | None = None
+    views: Given[Path] = None
     """Use the pictures in this folder, of an earlier run, and move nothing."""
 
-    out: Path | None = None
+    out: Given[Path] = None
     """Folder of pictures and overlays. Default: runs/DATE-calibrate-CAMERA."""
 
     seed: int = 0
@@ -72,7 +73,7 @@ class LookConfig:
 class IntrinsicsConfig(LookConfig):
     """Compare the camera matrix in the rig file with what views of the board say."""
 
-    write: Path | None = None
+    write: Given[Path] = None
     """Write the camera matrix found into this rig file. Default: only report."""
 
 
@@ -80,7 +81,7 @@ class IntrinsicsConfig(LookConfig):
 class HandEyeConfig(LookConfig):
     """Find out where a camera is, and write it into a rig file."""
 
-    write: Path | None = None
+    write: Given[Path] = None
     """The rig file to write. Default: the file given by --rig, else rig.toml."""
 
 
@@ -109,13 +110,13 @@ class NoiseConfig:
     camera: str = "wrist"
     """Which camera of the rig."""
 
-    rig: Path | None = None
+    rig: Given[Path] = None
     """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
 
     frames: int = 12
     """Pictures at each place; the camera and the scene stand still."""
 
-    write: Path | None = None
+    write: Given[Path] = None
     """Write the noise found into this rig file. Default: only report."""
 
     seed: int = 0
@@ -132,10 +133,10 @@ class HuesConfig:
     backend: Literal["sim", "ur7e"] = "sim"
     """The robot and cameras to use; ur7e is the real or emulated one of --rig."""
 
-    rig: Path | None = None
+    rig: Given[Path] = None
     """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""
 
-    write: Path | None = None
+    write: Given[Path] = None
     """Write the hues into this rig file, under [hues]. Default: only report."""
 
     seed: int = 0

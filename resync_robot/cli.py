@@ -12,8 +12,9 @@ import select
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import fields
 from io import TextIOWrapper
-from typing import Any, TextIO
+from typing import Any, TextIO, get_args, get_type_hints
 
 import tyro
 
@@ -130,6 +131,7 @@ def _run(argv: Sequence[str] | None) -> int:
     log_to_stderr(logging.DEBUG if verbose else logging.INFO)
     try:
         refuse_empty(args)
+        refuse_missing([a for a in args if a not in verbose])
         # Some settings refuse values as soon as they are read.
         config = tyro.extras.subcommand_cli_from_dict(
             {name: settings for name, (settings, _) in COMMANDS.items()},
@@ -160,6 +162,25 @@ def refuse_empty(args: Sequence[str]) -> None:
         if equals and not value.strip():
             raise ConfigError(f"{option} is empty", "give it a value, or leave it out")
         of = of if of.startswith("-") and not arg.startswith("-") else option if arg.startswith("-") else arg
+
+
+def refuse_missing(args: Sequence[str]) -> None:
+    """What stands alone and needs more: the parser's own words for it do not say what to type. Raises ConfigError."""
+    kinds = get_args(get_type_hints(CalibrateConfig)["what"])
+    if args[:1] == ["calibrate"] and (len(args) == 1 or (args[1].startswith("-") and args[1] not in ("-h", "--help"))):
+        raise ConfigError(
+            "calibrate needs a word for what to do: board, intrinsics, hand-eye, check, noise or hues",
+            "start with  resync-robot calibrate board;  resync-robot calibrate --help  says what each does",
+        )
+    files = {
+        f"--{field.name.replace('_', '-')}"
+        for settings in (*kinds, *(settings for settings, _ in COMMANDS.values()))
+        for field in fields(settings)
+        if "Path" in str(field.type)
+    }
+    for option, value in zip(args, [*args[1:], "--"], strict=True):
+        if option in files and value.startswith("--"):
+            raise ConfigError(f"{option} needs the name of a file or folder", f"write it behind: {option} NAME")
 
 
 def gather(args: Sequence[str], option: str) -> list[str]:

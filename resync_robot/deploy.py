@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 from resync_robot.core.errors import ConfigError
 from resync_robot.deploy_settings import DeployConfig
+from resync_robot.plan_files import check_plan_files, write_plan_files
 
 if TYPE_CHECKING:
     from resync_robot.core.episode import Episode
+    from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain, Task
     from resync_robot.perception.segment import Segmenter
@@ -30,7 +32,7 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.core.rig import load_rig
     from resync_robot.deployed_episode import run_episode
     from resync_robot.hardware.base import Halt
-    from resync_robot.knowledge import camera_recovery, learned_model, sees_by_camera, shipped_library
+    from resync_robot.knowledge import camera_recovery, learned_model, shipped_library
     from resync_robot.learning.camera_view import VIEWS
     from resync_robot.planning.suppose import check_goal
     from resync_robot.progress import say
@@ -40,16 +42,13 @@ def deploy(config: DeployConfig) -> int:
 
     check_range("--episodes", config.episodes, 1, MOST_EPISODES)
     check_seed(config.seed)
+    check_plan_files(config)
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     if config.backend == "ur7e":
         _check_rig(config, rig)
     domain.scenario(config.scenario)
     library = load_library(config.library or shipped_library(domain.name))
-    by_camera = config.skills == "camera" or (config.skills == "auto" and sees_by_camera(domain, library))
-    if by_camera and config.perception == "oracle":
-        if config.skills == "camera":
-            raise ConfigError("--skills camera needs cameras", "leave out --perception oracle")
-        by_camera = False
+    by_camera = _by_camera(config, domain, rig, library)
     segmenter = _segmenter(config, rig)
     model = learned_model(domain, rig, library, camera_recovery(domain, rig, library) if by_camera else None)
     recording = _recording(config)
@@ -72,8 +71,14 @@ def deploy(config: DeployConfig) -> int:
             )
     if library.rig_hash != rig.hash:
         say(f"Note: the library was learned on another rig ({library.rig_hash}, this one is {rig.hash}).")
-    for line in calibration_complaints(config, rig):
-        say(f"Warning: {line}.\n  -> resync-robot calibrate check --rig {config.rig or 'rig.toml'}")
+    complaints = calibration_complaints(config, rig)
+    for line in complaints:
+        say(f"Warning: {line}.")
+    if complaints:
+        say(
+            f"  -> resync-robot calibrate check --rig {config.rig or 'rig.toml'}; for a camera that never was: "
+            "calibrate hand-eye --camera NAME"
+        )
     simulated = config.backend == "sim" or (rig.controller is not None and rig.controller.emulated)
     if rig.controller is not None and not rig.controller.full_speed:
         say(
@@ -107,6 +112,8 @@ def deploy(config: DeployConfig) -> int:
                     raise outcome.error
             if outcome.fix:
                 say(f"  -> {outcome.fix}")
+            if config.pddl is not None and outcome.result.plans:
+                say(write_plan_files(config.pddl, domain, model, task, config.scenario, outcome.result.plans[0]))
         # Nobody could find out later what an unrecorded episode did.
         ends = outcome.halt.value if outcome.halt is Halt.UNKNOWN else "" if outcome.recorded else "nothing is recorded"
         if ends:
@@ -119,17 +126,44 @@ def deploy(config: DeployConfig) -> int:
     return 0 if good == len(tasks) and outcome.halt is not Halt.UNKNOWN and outcome.recorded else 3
 
 
+def _by_camera(config: DeployConfig, domain: Domain, rig: Rig, library: Library) -> bool:
+    """Whether the recovery sees by camera. Says so where it does not though the library holds a camera policy.
+
+    Raises:
+        ConfigError: it was asked to see without cameras, or there is nothing else that it could follow its block by.
+    """
+    from resync_robot.knowledge import sees_by_camera, why_not_by_camera
+    from resync_robot.progress import say
+
+    if config.skills == "camera" and config.perception == "oracle":
+        raise ConfigError("--skills camera needs cameras", "leave out --perception oracle")
+    if config.skills != "auto" or config.perception == "oracle":
+        return config.skills == "camera"
+    why = why_not_by_camera(domain, library)
+    anyway = "use it all the same: --skills camera"
+    if why and config.backend == "ur7e" and not (rig.controller and rig.controller.emulated):
+        better = "train longer: resync-robot train-sim --preset quick"
+        raise ConfigError(
+            f"{why}, and on a real arm there is nothing else to follow a block by",
+            f"{better}, or {anyway}" if sees_by_camera(domain, library) else better,
+        )
+    if why and sees_by_camera(domain, library):
+        say(f"Note: {why}, so {domain.recovery} does without.\n  -> {anyway}")
+    return not why
+
+
 def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:
     """What is old, bad or missing in the calibration of the rig's cameras, a line each.
 
-    A simulated camera stands where the rig says it does; on a real rig every camera needs a calibration.
+    A simulated or emulated camera stands where the rig says it does; on a real rig every camera needs a calibration.
     """
     from datetime import date
 
     from resync_robot.core.calibration_record import complaints
 
     records = {camera.name: camera.calibration for camera in rig.cameras}
-    return complaints(records, rig.calibration_limits, date.today(), expected=config.backend != "sim")
+    real = config.backend == "ur7e" and not (rig.controller is not None and rig.controller.emulated)
+    return complaints(records, rig.calibration_limits, date.today(), expected=real)
 
 
 def _segmenter(config: DeployConfig, rig: Rig) -> Segmenter | None:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from resync_robot.given import Given
+
 
 @dataclass(frozen=True, kw_only=True)
 class DeployConfig:
@@ -14,19 +16,19 @@ class DeployConfig:
     backend: Literal["sim", "ur7e", "replay"] = "sim"
     """The robot, gripper and cameras to use. Everything above them is the same code."""
 
-    library: Path | None = None
+    library: Given[Path] = None
     """Library folder that train-sim wrote. Default: the shipped one."""
 
     domain: str = "cornered-insertion-s"
     """The domain whose objects and skills are used."""
 
-    replay: Path | None = None
+    replay: Given[Path] = None
     """The recording that --backend replay runs over: the same executive, fed with what was recorded."""
 
     scenario: str = "s1"
     """Where the objects of a simulated episode lie, and the goal unless --goal is given."""
 
-    goal: str | None = None
+    goal: Given[str] = None
     """The goal as atoms, such as "On(b1,b0)". Default: that of the scenario."""
 
     seed: int = 0
@@ -40,7 +42,8 @@ class DeployConfig:
 
     skills: Literal["auto", "camera", "state"] = "auto"
     """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
-    pictures, where the library holds a camera policy."""
+    pictures, where poses come from the camera too and the library holds a camera policy that recovered in at least
+    half of its trials."""
 
     segmenter: Literal["colour", "sam3"] = "colour"
     """What finds the blocks in pictures: their hues, or SAM 3 by the prompts of the rig file."""
@@ -48,11 +51,14 @@ class DeployConfig:
     dry_run: bool = False
     """Look, ground and plan, and print the plan, but move no skill."""
 
+    pddl: Given[Path] = None
+    """Folder for domain.pddl and problem.pddl: what a --dry-run planned from, for other planners."""
+
     confirm: bool = False
     """Ask before each step of the plan."""
 
-    out: Path | None = None
+    out: Given[Path] = None
     """Folder of the recordings. Default: runs/DATE-deploy."""
 
-    rig: Path | None = None
+    rig: Given[Path] = None
     """The facts of the machine, a TOML file. Default: the rig that the simulation assumes."""

@@ -173,7 +173,9 @@ def _demonstrate(context: DistilContext, shard: _Shard) -> int:
     around = look_around(still, context.rig, RecoverySettings(), more.start, settings=shard.rollout)
     segments = [s for of in found for s in of] + ([around] if around else [])
     stamp = {"first_seed": shard.first_seed, "rig_hash": context.rig.hash, "git": git_hash()}
-    dataset.write_shard(shard.folder, segments, context.domain.recovery, stamp)
+    task = context.domain.instruction or context.domain.recovery
+    robot = f"{context.rig.arm.model}_{context.rig.gripper.model}"
+    dataset.write_shard(shard.folder, segments, task, robot, stamp)
     return sum(1 for segments in found if segments)
 
 
@@ -222,8 +224,7 @@ def distil(
             write_json(saved, points)
         shares.tried(points[-1])
     step = to_keep(points)
-    folder.record("distil", {"points": points, "chosen": step})
-    _show(folder, shards, points, step)
+    folder.record("distil", {"points": points, "chosen": step, **_show(folder, shards, points, step)})
     return {p.name: p.read_bytes() for p in sorted(_candidate(folder, step).iterdir())}
 
 
@@ -261,12 +262,14 @@ def to_keep(points: Sequence[Mapping[str, int]]) -> int:
     return max(p["step"] for p, rate in zip(points, rates, strict=True) if rate >= rates[best] - error)
 
 
-def _show(folder: RunFolder, shards: list[Path], points: list[dict[str, Any]], chosen: int) -> None:
-    """What a person wants to see of it: the dataset as one, what the cameras saw, the curves."""
-    dataset.merge_shards(shards, folder.path / "dataset")
+def _show(folder: RunFolder, shards: list[Path], points: list[dict[str, Any]], chosen: int) -> dict[str, int]:
+    """What a person wants to see of it: the dataset as one, what the cameras saw, the curves. Returns how much there
+    is, as `dataset.merge_shards` does."""
+    counts = dataset.merge_shards(shards, folder.path / "dataset")
     sheet = dataset.contact_sheet(dataset.read_shards(shards[:: max(1, len(shards) // 6)]))
     save_picture(folder.path / "demonstrations.png", sheet)
     draw_distillation(_read_losses(folder.stages / "distil.csv"), points, chosen, folder.path / "distil.png")
+    return counts
 
 
 def _read_losses(path: Path) -> list[tuple[float, float]]:

@@ -16,6 +16,7 @@ from typing import Literal
 
 from resync_robot.core.errors import ResyncError
 from resync_robot.core.files import read_text
+from resync_robot.given import Given
 
 PROBE_LIMIT_S = 60.0
 """How long a probe may load a library in a process of its own; the slowest takes 10 s on a busy machine."""
@@ -54,7 +55,7 @@ class DoctorConfig:
     json: bool = False
     """Print the findings as JSON."""
 
-    rig: Path | None = None
+    rig: Given[Path] = None
     """Rig file to check. Default: the rig that the simulation assumes."""
 
 

@@ -6,19 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from resync_robot.core.errors import ConfigError
+from resync_robot.given import Given, Several
 
 
 @dataclass(frozen=True, kw_only=True)
 class EmulateConfig:
     """Stand in for a UR7e with gripper and cameras, on loopback, until Ctrl-C."""
 
-    rig: Path | None = None
+    rig: Given[Path] = None
     """Rig file of the emulated machine. Default: `emulated`, the one that comes with this package."""
 
-    fault: tuple[str, ...] = ()
+    fault: Several[str] = ()
     """What goes wrong: NAME or NAME@SECONDS of running program (default 5), such as protective-stop@10."""
 
-    seconds: float | None = None
+    seconds: Given[float] = None
     """End after so many seconds. Default: run until Ctrl-C."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.core.options import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
 from resync_robot.evaluation_report import EPISODE, EpisodeRow, count_once, report, table
+from resync_robot.given import Given, Several
 
 if TYPE_CHECKING:
     from resync_robot.core.library import Library
@@ -39,7 +40,7 @@ class EvaluateConfig:
     domain: str = "cornered-insertion-s"
     """The domain to evaluate in."""
 
-    library: tuple[Path, ...] = ()
+    library: Several[Path] = ()
     """Library folders, one for each training seed. Default: the shipped one."""
 
     methods: tuple[str, ...] = ("resync",)
@@ -54,12 +55,13 @@ class EvaluateConfig:
     episodes: int = 10
     """Episodes for each library, method, scenario and seed."""
 
-    perception: Literal["camera", "oracle"] = "oracle"
-    """Where poses come from: RGB-D pictures, or the simulator's own state."""
+    perception: Literal["auto", "camera", "oracle"] = "auto"
+    """Where poses come from: RGB-D pictures, or the simulator's own state, which is several times faster. auto:
+    pictures, where every library holds a camera policy that recovered in at least half of its trials."""
 
     skills: Literal["auto", "camera", "state"] = "auto"
     """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
-    pictures, where poses come from the camera too and the library holds a camera policy."""
+    pictures, where poses come from the camera too and every library holds such a camera policy."""
 
     worlds: Literal["usual", "unseen", "hard", "reference"] = "usual"
     """unseen: friction, masses, sizes up to a tenth beyond the edges of training; surfaces and lights it never had.
@@ -68,8 +70,9 @@ class EvaluateConfig:
     physics: Literal["shipped", "reference"] = "shipped"
     """reference: contacts solved much more finely, at over ten times the price: the yardstick of the shipped ones."""
 
-    rig: Path | None = None
+    rig: Given[Path] = None
     """The robot and cameras to simulate, a TOML file. Default: the rig that the simulation assumes."""
+
     perception_only: bool = False
     """Move nothing: only scan random scenes and compare what was seen with what is there."""
 
@@ -82,7 +85,7 @@ class EvaluateConfig:
     resume: bool = False
     """Go on with the unfinished evaluation in the --json file: episodes that it holds are not run again."""
 
-    json: Path | None = None
+    json: Given[Path] = None
     """File for the counts by library and seed, the success rates, every episode, and the provenance. With
     --perception-only: for the errors, and a picture of how honest their covariance is beside it."""
 
@@ -158,7 +161,7 @@ def evaluate(config: EvaluateConfig) -> None:
     )
     paths = [by_hash[content] for content in hashes]
     libraries = [found[path] for path in paths]
-    skills = _skills(config, domain, libraries)
+    perception, skills, note = _sources(config, domain, dict(zip(paths, libraries, strict=True)))
     if not methods or not scenarios:
         raise ConfigError(f"--{'scenarios' if methods else 'methods'} names none", "name one, or leave it out")
     jobs = [
@@ -179,7 +182,7 @@ def evaluate(config: EvaluateConfig) -> None:
             "git": git_hash(),
             "domain": domain.name,
             "libraries": list(hashes),
-            "perception": config.perception,
+            "perception": perception,
             "skills": skills,
             "worlds": config.worlds,
             "physics": physics,
@@ -191,29 +194,48 @@ def evaluate(config: EvaluateConfig) -> None:
         parse=_parse,
     )
     drawn = (config.worlds, physics == "reference")
-    context = partial(_context, config.domain, tuple(map(str, paths)), config.perception, skills, *drawn, rig)
+    context = partial(_context, config.domain, tuple(map(str, paths)), perception, skills, *drawn, rig)
     # Written before the table, so that it is kept where nobody reads that.
-    with file.open(config.resume), Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
-        todo = file.todo
-        for job, row in zip(todo, parallel_map(_run, todo, context, config.workers), strict=True):
-            file.add(job, row)
-            if not row.success:
-                _log.info("%s on %s, episode %d: %s, %s", row.method, row.scenario, row.episode, row.end, row.reason)
-            wins, count = sum(r.success for r in file.done.values()), len(file.done)
-            progress(count / len(jobs), f"{wins} of {count} episodes reached their goal")
-    say(table(file.found, methods, scenarios))
+    with file.open(config.resume):
+        if note:
+            _log.info(note)
+        with Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
+            todo = file.todo
+            for job, row in zip(todo, parallel_map(_run, todo, context, config.workers), strict=True):
+                file.add(job, row)
+                if not row.success:
+                    _log.info(
+                        "%s on %s, episode %d: %s, %s", row.method, row.scenario, row.episode, row.end, row.reason
+                    )
+                wins, count = sum(r.success for r in file.done.values()), len(file.done)
+                progress(count / len(jobs), f"{wins} of {count} episodes reached their goal")
+    say(table(file.found, methods, scenarios, _words(domain, perception, skills)))
 
 
-def _skills(config: EvaluateConfig, domain: Domain, libraries: Sequence[Library]) -> str:
-    """ "camera" or "state", after a look at what there is. Raises ConfigError."""
+def _words(domain: Domain, perception: str, skills: str) -> str:
+    """Where poses come from and what the recovery sees."""
+    ways = {"poses": perception, domain.recovery: skills}
+    return ", ".join(f"{what} by {'camera' if way == 'camera' else 'exact state'}" for what, way in ways.items())
+
+
+def _sources(config: EvaluateConfig, domain: Domain, libraries: Mapping[Path, Library]) -> tuple[str, str, str]:
+    """Where poses come from ("camera" or "oracle"), what the recovery sees ("camera" or "state"), and what to tell a
+    person about how these were chosen, after a look at what there is. Raises ConfigError."""
+    from resync_robot.knowledge import sees_by_camera, why_not_by_camera
+
     if config.skills == "camera" and config.perception == "oracle":
-        raise ConfigError("--skills camera needs cameras", "add --perception camera")
-    if config.skills != "auto":
-        return config.skills
-    from resync_robot.knowledge import sees_by_camera
-
-    with_policy = all(sees_by_camera(domain, library) for library in libraries)
-    return "camera" if config.perception == "camera" and with_policy else "state"
+        raise ConfigError("--skills camera needs cameras", "leave out --perception oracle")
+    reasons = {path: why for path, library in libraries.items() if (why := why_not_by_camera(domain, library))}
+    by_camera = config.skills == "camera" or not reasons
+    perception = config.perception if config.perception != "auto" else "camera" if by_camera else "oracle"
+    skills = config.skills if config.skills != "auto" else "camera" if perception == "camera" and by_camera else "state"
+    note = ""
+    if reasons and "camera" not in (config.skills, skills) and config.perception != "oracle":
+        path, why = next(iter(reasons.items()))
+        note = f"{why} ({path}), hence {_words(domain, perception, skills)}."
+        if sees_by_camera(domain, libraries[path]):
+            note += "\n  -> use it all the same: --skills camera"
+    return perception, skills, note
 
 
 def _methods(given: Sequence[str]) -> tuple[str, ...]:

@@ -151,9 +151,13 @@ def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
     return max(0.0, (centre - half) / (1 + z * z / n)), min(1.0, (centre + half) / (1 + z * z / n))
 
 
-def table(episodes: Sequence[EpisodeRow], methods: Sequence[str], scenarios: Sequence[str]) -> str:
-    """Success by method and scenario with 95 % intervals, as markdown."""
-    lines = ["| method | " + " | ".join(scenarios) + " |", "|---" * (len(scenarios) + 1) + "|"]
+def table(episodes: Sequence[EpisodeRow], methods: Sequence[str], scenarios: Sequence[str], sources: str) -> str:
+    """Success by method and scenario with 95 % intervals, as markdown.
+
+    Args:
+        sources: where poses come from and what skills see, in words.
+    """
+    lines = [f"| method ({sources}) | " + " | ".join(scenarios) + " |", "|---" * (len(scenarios) + 1) + "|"]
     for method in methods:
         cells = []
         for scenario in scenarios:

@@ -14,6 +14,7 @@ import tyro
 
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.files import MCAP, RRD, check_output
+from resync_robot.given import Given
 
 _log = logging.getLogger(__name__)
 
@@ -25,10 +26,10 @@ class ReviewConfig:
     episode: tyro.conf.Positional[Path]
     """A recording, *.mcap."""
 
-    save: Path | None = None
-    """Write this .rrd file instead of opening the viewer; needs no display."""
+    save: Given[Path] = None
+    """Write this .rrd file instead of opening the viewer; needs no display. Default: open the viewer."""
 
-    mend: Path | None = None
+    mend: Given[Path] = None
     """Write what is whole of a damaged recording to this .mcap file, which every program opens, and do nothing else."""
 
 
@@ -40,6 +41,7 @@ def review(config: ReviewConfig) -> None:
         ConfigError: the file to write is the recording, or one of another kind, or cannot be written.
         DiskError: there is no room for it.
     """
+    _check_there(config.episode)
     if config.mend is not None:
         check_output(config.mend, MCAP, [config.episode], "--mend")
         _mend(config.episode, config.mend)
@@ -59,12 +61,27 @@ def review(config: ReviewConfig) -> None:
     if episode.damage is not None:
         _log.warning("%s is not whole: %s. Showing the rest.", episode.path, episode.loss)
     if config.save is not None:
+        from resync_robot.progress import say
+
         save_drawing(episode, config.save)
+        say(f"{config.save} is written. Open it where a viewer runs:  rerun {config.save}")
         return
     with tempfile.TemporaryDirectory(prefix="resync-review-") as folder:
         drawing = Path(folder) / f"{config.episode.stem}.rrd"
         save_drawing(episode, drawing)
         _view(drawing, Path(folder) / "config")
+
+
+def _check_there(path: Path) -> None:
+    """Raises EpisodeError where that is no file, with the newest recording that there is instead."""
+    if path.exists() and not path.is_dir():
+        return
+    what = f"{path} is a folder" if path.is_dir() else f"there is no recording {path}"
+    found = list(path.glob("*.mcap") if path.is_dir() else Path("runs").glob("*/*.mcap"))
+    newest = max(found, key=lambda p: p.stat().st_mtime, default=None)
+    raise EpisodeError(
+        what, f"the newest one there: resync-robot review {newest}" if newest else "record one: resync-robot deploy"
+    )
 
 
 def _mend(torn: Path, out: Path) -> None:

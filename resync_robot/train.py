@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
 
 from resync_robot.core.errors import ConfigError, DiskError, TrainingError
 from resync_robot.core.files import disk_fault
+from resync_robot.given import Given
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,41 +23,48 @@ if TYPE_CHECKING:
     from resync_robot.run_settings import RunSettings
     from resync_robot.stage_files import Mined
 
+QUICK_MINUTES = 50
+"""Of --preset quick on two cores, with the camera policy; README says the same."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """Learn from failures in simulation and write a library.
+    """Learn from failures in simulation and write a library."""
 
-    None stands for what was not given: a run that is resumed keeps what it began with, and takes nothing else.
-    """
+    # None stands for what was not given: a run that is resumed keeps what it began with, and takes nothing else.
 
-    domain: str | None = None
+    domain: Given[str] = None
     """The domain to train in. Default: cornered-insertion-s."""
 
-    preset: Literal["smoke", "quick", "full"] | None = None
-    """How much to train: quick (default) fits two cores in half an hour, full is for a workstation, smoke only tests
-    the way."""
+    preset: Annotated[
+        Literal["smoke", "quick", "full"] | None,
+        tyro.conf.arg(
+            help_behavior_hint="",
+            help=f"How much to train: quick (default) takes about {QUICK_MINUTES} minutes on two cores, full is for a "
+            "workstation, smoke only tests the way.",
+        ),
+    ] = None
 
-    seed: int | None = None
+    seed: Given[int] = None
     """Seed of every random draw. The same seed gives the same library on one machine. Default: 0."""
 
-    out: Path | None = None
+    out: Given[Path] = None
     """Folder of the run. Default: runs/DATE-DOMAIN."""
 
     resume: bool = False
     """Go on where the run in --out (default: the latest one of this domain) was cut off, with its own settings."""
 
-    rig: Path | None = None
+    rig: Given[Path] = None
     """The robot and cameras to train for, a TOML file. Default: the rig that the simulation assumes."""
 
-    device: Literal["cpu", "cuda"] | None = None
+    device: Given[Literal["cpu", "cuda"]] = None
     """Where the recovery is learned; cuda: thousands of scenes in ManiSkill. The other stages run on the CPU. Default:
     cpu."""
 
-    concepts: Literal["default", "paper"] | None = None
+    concepts: Given[Literal["default", "paper"]] = None
     """How predicates and operators are learned: this project's choices (default) or the published formulation."""
 
-    skills: Literal["camera", "state"] | None = None
+    skills: Given[Literal["camera", "state"]] = None
     """camera (default): teach the recovery to see by camera as well, at the end. state: leave it at the simulator's
     state."""
 
@@ -257,6 +267,7 @@ def _save(
     from resync_robot import __version__
     from resync_robot.core.library import save_library
     from resync_robot.knowledge import make_library
+    from resync_robot.model_card import with_card
     from resync_robot.plots import draw_learning_curve
 
     metrics = folder.metrics
@@ -273,7 +284,7 @@ def _save(
         },
         "figures": {s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
     }
-    library = make_library(domain, folder.rig, record, gaussians, concepts, provenance, policy)
+    library = with_card(make_library(domain, folder.rig, record, gaussians, concepts, provenance, policy), domain)
     save_library(library, folder.library)
     folder.record("save", {"content_hash": library.content_hash})
     draw_learning_curve(metrics["recovery"]["curve"], folder.path / "recovery.png")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -27,6 +29,13 @@ def recovery_record(failed: float | None = None) -> Record:
         tensors["failed.net.12.bias"] = np.array([np.log(failed / (1 - failed))], dtype=np.float32)
     inputs = {"inputs": OBSERVATION_SIZE}
     return Record({"policy": {"width": 8, "depth": 1}, "terminal": inputs, "failed": inputs}, tensors)
+
+
+def with_camera_policy(recovered: int, worlds: int) -> Library:
+    """That library with a camera policy that nobody can load, and how it did in its trials."""
+    points = [{"step": 1, "success": worlds, "worlds": worlds}, {"step": 2, "success": recovered, "worlds": worlds}]
+    figures = {"figures": {"distil": {"points": points, "chosen": 2}}}
+    return replace(given_library(), policies={"Recover": {"config.json": b"{}"}}, provenance=figures)
 
 
 def given_library() -> Library:

@@ -251,6 +251,11 @@ def test_a_deployment_warns_of_an_old_or_bad_calibration(tmp_path: Path) -> None
     lines = calibration_complaints(DeployConfig(), rig)
     assert len(lines) == 2 and all("front" in line for line in lines)
     assert calibration_complaints(DeployConfig(), load_rig()) == []
+    emulated = load_rig(Path(__file__).parents[1] / "hardware" / "emulated.toml")
+    assert calibration_complaints(DeployConfig(backend="ur7e"), emulated) == [], "its cameras stand where it says"
+    assert emulated.controller is not None
+    real = replace(emulated, controller=replace(emulated.controller, emulated=False))
+    assert len(calibration_complaints(DeployConfig(backend="ur7e"), real)) == 1
     on_a_real_arm = calibration_complaints(DeployConfig(backend="ur7e"), rig)
     assert len(on_a_real_arm) == 3 and any("'side' has never" in line for line in on_a_real_arm)
 

@@ -16,7 +16,7 @@ from resync_robot.core.errors import ConfigError, DiskError
 from resync_robot.doctor import DoctorConfig
 from resync_robot.evaluate import EvaluateConfig
 from resync_robot.review import ReviewConfig
-from resync_robot.train import TrainConfig
+from resync_robot.train import QUICK_MINUTES, TrainConfig
 
 
 @pytest.fixture
@@ -103,6 +103,46 @@ def test_what_cannot_be_parsed_is_one_message_and_code_2(
     assert word in shown.err
     assert "Traceback" not in shown.err
     assert shown.out == ""
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("calibrate",), "board, intrinsics, hand-eye, check, noise or hues"),
+        (("calibrate", "--camera", "wrist"), "board, intrinsics, hand-eye, check, noise or hues"),
+        (("review", "--save"), "--save needs the name of a file or folder"),
+        (("review", "x.mcap", "--save", "--mend", "y.mcap"), "--save needs the name of a file or folder"),
+        (("calibrate", "hand-eye", "--write"), "--write needs the name of a file or folder"),
+        (("evaluate", "--library", "--seeds", "1"), "--library needs the name of a file or folder"),
+    ],
+)
+def test_what_stands_alone_and_needs_more_says_what_to_type(
+    args: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert exit_code(*args) == 2
+    shown = capsys.readouterr().err
+    assert shown.startswith("error: ") and words in shown and "\n  -> " in shown
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *((name,) for name in cli.COMMANDS),
+        *(("calibrate", v) for v in ("board", "intrinsics", "hand-eye", "check", "noise", "hues")),
+    ],
+)
+def test_help_has_no_words_of_the_program_itself(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code(*words, "--help") == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "(default: None)" not in shown and "(default: )" not in shown
+    assert "what options" not in shown and "what.board" not in shown
+
+
+def test_quick_takes_as_long_by_its_help_as_by_the_readme(capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code("train-sim", "--help") == 0
+    assert f"about {QUICK_MINUTES} minutes on two cores" in " ".join(capsys.readouterr().out.split())
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    assert f"{QUICK_MINUTES} min" in readme
 
 
 @pytest.mark.parametrize(

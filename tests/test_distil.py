@@ -88,7 +88,7 @@ def test_a_damaged_file_of_this_stage_is_one_message_and_can_be_removed(
     monkeypatch.setattr("resync_robot.distil.parallel_map", work_on)
     monkeypatch.setattr("resync_robot.distil._check_candidate", lambda *_: None)
     monkeypatch.setattr("resync_robot.policies.training.Trainer.run", begin)
-    monkeypatch.setattr("resync_robot.sim_training.demos.dataset.merge_shards", lambda *_: None)
+    monkeypatch.setattr("resync_robot.sim_training.demos.dataset.merge_shards", lambda *_: {})
     # Videos take most of the time, and are looked at by the test of shards.
     black = np.zeros((PICTURE, PICTURE, 3), dtype=np.uint8)
     monkeypatch.setattr(

@@ -20,13 +20,13 @@ from hypothesis import strategies as st
 
 from resync_robot import __version__, cli, evaluate
 from resync_robot.core.errors import ConfigError, UnknownNameError
-from resync_robot.core.library import save_library
+from resync_robot.core.library import Library, save_library
 from resync_robot.core.lock import sole_writer
 from resync_robot.evaluate import Job
 from resync_robot.evaluation_report import EpisodeRow, wilson
 from resync_robot.planning.execute import ExecuteSettings
 from resync_robot.sim_training.domains import find_domain, world_task
-from tests.libraries import DOMAIN, given_library
+from tests.libraries import DOMAIN, given_library, with_camera_policy
 
 CORNERED = find_domain(DOMAIN)
 
@@ -150,8 +150,8 @@ def library(tmp_path: Path) -> Path:
         (("--seeds", "0", "-3"), "--seeds is -3"),
         (("--library", "/nowhere"), "no library folder /nowhere"),
         (("--json", "/dev/null/rows.json"), "cannot write --json /dev/null/rows.json"),
-        (("--skills", "camera"), "--skills camera needs cameras"),
-        (("--skills", "camera", "--perception", "camera", "--workers", "1"), "no camera policy for 'Recover'"),
+        (("--skills", "camera", "--perception", "oracle"), "--skills camera needs cameras"),
+        (("--skills", "camera", "--workers", "1"), "no camera policy for 'Recover'"),
     ],
 )
 def test_bad_input_is_one_error_with_code_2(
@@ -398,6 +398,42 @@ def test_a_finished_evaluation_is_shown_again_and_can_be_added_to(
     monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", pretended)
     assert quick(*args, 4, "--resume") == 0
     assert "of 4 |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("library", "args", "words", "note"),
+    [
+        (given_library(), (), "poses by exact state, Recover by exact state", "the library holds no camera policy"),
+        (with_camera_policy(8, 8), (), "poses by camera, Recover by camera", ""),
+        (with_camera_policy(8, 8), ("--perception", "oracle"), "poses by exact state, Recover by exact state", ""),
+        (with_camera_policy(8, 8), ("--skills", "state"), "poses by camera, Recover by exact state", ""),
+        (with_camera_policy(0, 8), (), "poses by exact state, Recover by exact state", "only 0 of the 8 trials"),
+        (with_camera_policy(0, 8), ("--perception", "camera"), "poses by camera, Recover by exact state", "only 0 of"),
+        (with_camera_policy(0, 8), ("--skills", "camera"), "poses by camera, Recover by camera", ""),
+    ],
+)
+def test_poses_and_skills_come_from_cameras_where_the_library_can_and_the_table_says_so(
+    library: Library,
+    args: tuple[str, ...],
+    words: str,
+    note: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    save_library(library, tmp_path / "its")
+    monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", pretended)
+    given = ("--library", str(tmp_path / "its"), "--scenarios", "s0", "--json", str(tmp_path / "rows.json"))
+    with caplog.at_level("INFO"):
+        assert cli.main(["evaluate", *given, *args]) == 0
+    assert f"| method ({words}) | s0 |" in capsys.readouterr().out
+    assert (note in caplog.text) if note else "the library" not in caplog.text
+    assert ("--skills camera" in caplog.text) == ("trials" in note), "what to type, where there is something to use"
+    made = json.loads((tmp_path / "rows.json").read_text())["provenance"]
+    assert (made["perception"] == "camera", made["skills"] == "camera") == tuple(
+        "camera" in part for part in words.split(",")
+    )
 
 
 @pytest.mark.parametrize(

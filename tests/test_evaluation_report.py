@@ -48,8 +48,8 @@ def row(method: str, scenario: str, success: bool, skills: Sequence[str] = ()) -
 def test_the_table_has_a_line_for_each_method_and_a_column_for_each_scenario() -> None:
     rows = [row("resync", "s0", i < 9) for i in range(10)] + [row("rc", "s0", False), row("rc", "s1", True)]
     rows += [row("resync", "s1", True)]
-    lines = table(rows, ("resync", "rc"), ("s0", "s1")).splitlines()
-    assert lines[0] == "| method | s0 | s1 |"
+    lines = table(rows, ("resync", "rc"), ("s0", "s1"), "poses by camera").splitlines()
+    assert lines[0] == "| method (poses by camera) | s0 | s1 |"
     assert lines[1].replace("-", "") == "||||"
     assert lines[2] == "| resync | 0.90 [0.60, 0.98] of 10 | 1.00 [0.21, 1.00] of 1 |"
     assert lines[3] == "| rc | 0.00 [0.00, 0.79] of 1 | 1.00 [0.21, 1.00] of 1 |"

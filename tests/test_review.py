@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -254,8 +255,33 @@ def test_without_a_display_the_message_says_what_to_do(episode, monkeypatch):
         review(ReviewConfig(episode=episode))
 
 
+def test_a_recording_that_is_not_there_is_missed_before_a_display_is(episode, tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.chdir(tmp_path)
+    missing = ReviewConfig(episode=Path("missing.mcap"))
+    with pytest.raises(
+        EpisodeError, match=r"there is no recording missing\.mcap\n  -> record one: resync-robot deploy"
+    ):
+        review(missing)
+    for name, age in (("old.mcap", 1), ("new.mcap", 2)):
+        path = tmp_path / "runs" / "today-deploy" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(episode.read_bytes())
+        os.utime(path, (age, age))
+    with pytest.raises(EpisodeError, match=r"resync-robot review runs/today-deploy/new\.mcap"):
+        review(missing)
+    with pytest.raises(EpisodeError, match=r"is a folder\n.* review .*today-deploy/new\.mcap"):
+        review(ReviewConfig(episode=tmp_path / "runs" / "today-deploy"))
+
+
+def test_a_drawing_that_is_saved_says_how_to_open_it(episode, tmp_path, capsys):
+    review(ReviewConfig(episode=episode, save=tmp_path / "e.rrd"))
+    assert f"Open it where a viewer runs:  rerun {tmp_path}/e.rrd" in capsys.readouterr().out
+
+
 def test_unusable_files(tmp_path, episode):
-    with pytest.raises(EpisodeError, match="cannot read"):
+    (tmp_path / "none.mcap").write_bytes(b"")
+    with pytest.raises(EpisodeError, match=r"none\.mcap"):
         review(ReviewConfig(episode=tmp_path / "none.mcap", save=tmp_path / "x.rrd"))
     with pytest.raises(ConfigError, match="cannot write --save"):
         review(ReviewConfig(episode=episode, save=episode / "x.rrd"))

@@ -82,17 +82,22 @@ def read_limits(table: Any, where: str) -> CalibrationLimits:
 def complaints(
     records: Mapping[str, CalibrationRecord | None], limits: CalibrationLimits, today: date, expected: bool = True
 ) -> list[str]:
-    """One line for every camera whose calibration a deployment should not trust without a word.
+    """What a deployment should not trust without a word, a line each.
 
     Args:
         records: by camera name.
         expected: complain of a camera without a record too.
     """
     found = []
+    never = [f"'{name}'" for name, record in records.items() if record is None]
+    if never and expected:
+        found.append(
+            f"camera {never[0]} has never been calibrated"
+            if len(never) == 1
+            else f"cameras {', '.join(never[:-1])} and {never[-1]} have never been calibrated"
+        )
     for name, record in records.items():
         if record is None:
-            if expected:
-                found.append(f"camera '{name}' has never been calibrated")
             continue
         age = (today - date.fromisoformat(record.checked)).days
         if age > limits.max_age_days:

@@ -63,6 +63,7 @@ def with_tables(title: str, suffix: str, parse: Callable[[str], Any], *names: st
 
 MCAP = starting_with("an MCAP recording", ".mcap", b"\x89MCAP0\r\n")
 RRD = starting_with("a Rerun recording", ".rrd", b"RRF")
+PDDL = starting_with("a PDDL text that this program wrote", ".pddl", b"(define")
 PNG = starting_with("a PNG picture", ".png", b"\x89PNG\r\n\x1a\n")
 FIGURE = starting_with(
     "a figure that this program drew", ".png", b"\x89PNG\r\n\x1a\n", containing=b"Software\0resync-robot"

@@ -5,7 +5,8 @@
       domain.pddl           types, predicates, operators
       predicates/NAME.json  signature, form, effects;  NAME.safetensors  classifier weights
       skills/NAME.json      signature, settings;       NAME.safetensors  policy and terminal weights
-      policies/NAME/        the skill's camera policy, where one was trained: a LeRobot checkpoint, as LeRobot wrote it
+      policies/NAME/        the skill's camera policy, where one was trained: a LeRobot checkpoint, as LeRobot wrote it,
+                            and its model card, README.md
       execution.json        the learned atom that each skill relies on, other names of skills, how practice went
       gaussians.json        pair Gaussians of failures and recoveries
       provenance.json       git hash, seeds, versions, figures, durations
@@ -33,6 +34,8 @@ from resync_robot.core.files import unwritable, whole_folder
 
 VERSION = 2
 """2: a classifier sees all of the outside of a box as one."""
+CARD = "README.md"
+"""The model card of a policy, in its folder."""
 RETRAIN = "train a new one: resync-robot train-sim --domain cornered-insertion-s"
 
 
@@ -61,10 +64,11 @@ class Library:
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 over what decides behaviour: everything but provenance (which holds dates and durations)."""
+        """SHA-256 over what decides behaviour: everything but provenance (which holds dates and durations) and model
+        cards (which are for people)."""
         digest = hashlib.sha256()
         for name, data in sorted(_files(self).items()):
-            if name != "provenance.json":
+            if name != "provenance.json" and not (name.startswith("policies/") and name.endswith(f"/{CARD}")):
                 digest.update(name.encode() + b"\0" + data)
         return digest.hexdigest()
 

@@ -59,6 +59,7 @@ class Domain:
         dream: (rng, seed, how many objects of the relevant type) -> a task in which all of them begin free.
         practice: (rng, seed) -> a task with one object somewhere between trapped and free, or covered.
         expert: (state, goal) -> the skill sequence that a person would give: (skill name, objects) each.
+        instruction: what the recovery does, in a sentence, for datasets and policies that read one.
         stacking: two-place predicates that put one thing upon another: a thing is upon one other at most, and never,
             by whatever way round, upon itself. The given model need not know; goals are checked by it.
     """
@@ -74,6 +75,7 @@ class Domain:
     dream: Callable[[np.random.Generator, int, int], Task]
     practice: Callable[[np.random.Generator, int], Task]
     expert: Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
+    instruction: str = ""
     stacking: tuple[Predicate, ...] = ()
 
     def predicate(self, name: str) -> Predicate:

@@ -19,12 +19,15 @@ def domain_to_pddl(
     """A PDDL domain, sorted by name, so that equal models give equal text.
 
     Raises:
-        PlanningError: a name that PDDL does not allow, or two that differ in case alone.
+        PlanningError: a name that PDDL does not allow, or two that are the same for it.
     """
     types, predicates, operators = sorted(types), sorted(predicates), sorted(operators, key=lambda o: o.name)
-    _check_names("type", [t.name for t in types])
-    _check_names("predicate", [p.name for p in predicates])
-    _check_names("operator", [o.name for o in operators])
+    kinds: dict[str, list[Type] | list[Predicate] | list[Operator]] = {
+        "type": types,
+        "predicate": predicates,
+        "operator": operators,
+    }
+    _check_names([(kind, named.name) for kind, those in kinds.items() for named in those])
     lines = [
         f"(define (domain {_checked(name)})",
         f"  {REQUIREMENTS}",
@@ -53,16 +56,45 @@ def operator_to_pddl(op: Operator) -> str:
     )
 
 
-def problem_to_pddl(name: str, domain: str, objects: Iterable[Object], atoms: Atoms, goal: Atoms) -> str:
-    """A PDDL problem."""
-    listed = " ".join(f"{_checked(o.name)} - {o.type.name}" for o in sorted(objects))
+def object_names(
+    objects: Iterable[Object], types: Iterable[Type], predicates: Iterable[Predicate], operators: Iterable[Operator]
+) -> dict[Object, str]:
+    """What each object is called in PDDL: as it is here, or with a number behind where that name is taken.
+
+    An object 'box' of the type 'box' becomes 'box0': many planners have one space of names for types, predicates,
+    operators and objects, and none tells upper case from lower.
+    """
+    taken = {named.name.lower() for those in (types, predicates, operators) for named in those}
+    names: dict[Object, str] = {}
+    # Those that keep their name come first, so that no other is given it.
+    for obj in sorted(objects, key=lambda o: (o.name.lower() in taken, o)):
+        name, number = obj.name, 0
+        while name.lower() in taken:
+            name, number = f"{obj.name}{number}", number + 1
+        taken.add(name.lower())
+        names[obj] = name
+    return names
+
+
+def problem_to_pddl(name: str, domain: str, names: Mapping[Object, str], atoms: Atoms, goal: Atoms) -> str:
+    """A PDDL problem of the objects that `names` names, as `object_names` does.
+
+    Raises:
+        PlanningError: a name that PDDL does not allow.
+    """
+
+    def conjuncts(of: Atoms) -> list[str]:
+        return [f"({' '.join([a.predicate.name, *(names.get(o, o.name) for o in a.args)])})" for a in sorted(of)]
+
+    listed = " ".join(f"{_checked(names[o])} - {o.type.name}" for o in sorted(names))
     return "\n".join(
         [
             f"(define (problem {_checked(name)})",
+            *(f"  ; {new} is the object '{o.name}': that name is taken" for o, new in names.items() if new != o.name),
             f"  (:domain {_checked(domain)})",
             f"  (:objects {listed})",
-            f"  (:init {' '.join(_atom(a) for a in sorted(atoms))})",
-            f"  (:goal {_conjunction(_atom(a) for a in sorted(goal))})",
+            f"  (:init {' '.join(conjuncts(atoms))})",
+            f"  (:goal {_conjunction(conjuncts(goal))})",
             ")",
             "",
         ]
@@ -214,9 +246,12 @@ def _checked(name: str) -> str:
     return name
 
 
-def _check_names(kind: str, names: list[str]) -> None:
-    lowered: dict[str, str] = {}
-    for name in map(_checked, names):
-        other = lowered.setdefault(name.lower(), name)
-        if other != name or names.count(name) > 1:
-            raise PlanningError(f"PDDL ignores case: the {kind}s '{other}' and '{name}' are the same")
+def _check_names(named: Iterable[tuple[str, str]]) -> None:
+    """Refuse (kind, name) that PDDL cannot tell from an earlier one. Raises PlanningError."""
+    found: dict[str, str] = {}
+    for kind, name in named:
+        words = f"{kind} '{name}'"
+        other = found.get(_checked(name).lower())
+        if other is not None:
+            raise PlanningError(f"PDDL ignores case and kinds: {other} and {words} have one name", "rename one of them")
+        found[name.lower()] = words

@@ -34,11 +34,22 @@ class Plan:
     Attributes:
         nodes_created: search nodes whose heuristic was computed until this plan was found.
         seconds: grounding included.
+        atoms: what was taken to hold when it was made.
     """
 
     steps: tuple[GroundOperator, ...]
     nodes_created: int
     seconds: float
+    atoms: Atoms
+
+    def reaches(self, goal: Atoms) -> bool:
+        """Whether its operators, as they are, lead from its atoms to the goal; not so where a step supposes more."""
+        now = self.atoms
+        for step in self.steps:
+            if not step.applicable(now):
+                return False
+            now = step.apply(now)
+        return goal <= now
 
     def __str__(self) -> str:
         return ", ".join(map(str, self.steps)) or "(nothing to do)"
@@ -119,7 +130,7 @@ def plan(
         raise PlanningError(f"no plan for {_words(goal)} within {max_nodes} search nodes") from None
     if found is None:
         raise PlanningError(f"no plan reaches {_words(goal)}{problem.why_not()}")
-    return Plan(problem.steps(found), created, time.perf_counter() - start)
+    return Plan(problem.steps(found), created, time.perf_counter() - start, atoms)
 
 
 def _remembered(estimate: Callable[[SearchNode], float]) -> Callable[[SearchNode], float]:
@@ -189,7 +200,7 @@ def plans(
         expanded[node.state] = expanded.get(node.state, 0) + 1
         if problem.task.goal_reached(node.state):
             steps = problem.steps(node.extract_solution())
-            found.append(Plan(steps, created, time.perf_counter() - start))
+            found.append(Plan(steps, created, time.perf_counter() - start, atoms))
             continue
         for op, state in problem.task.get_successor_states(node.state):
             child = make_child_node(node, op, state)

@@ -106,7 +106,7 @@ def _suppose(
             except PlanningError:
                 continue
             if best is None or len(rest.steps) + 1 < len(best[0].steps):
-                whole = Plan((step, *rest.steps), rest.nodes_created, rest.seconds)
+                whole = Plan((step, *rest.steps), rest.nodes_created, rest.seconds, atoms)
                 best = whole, words
     return best
 

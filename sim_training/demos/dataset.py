@@ -24,8 +24,8 @@ from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ
 from resync_robot.learning.demonstrations import Demonstrations
 from resync_robot.sim_training.demos.rollouts import Segment
 
-VERSION = 5
-"""3 had h264 videos, which do not go into one dataset with others; 4 had no hashes of its files."""
+VERSION = 6
+"""3 had h264 videos, which do not go into one dataset with others; 4 had no hashes of its files; 5 named no robot."""
 CODEC = "libsvtav1"
 """The same pictures become the same video. x264, as LeRobot calls it, encodes one group of frames in a hundred another
 way each time, and so the same seed led to another policy."""
@@ -50,11 +50,12 @@ def features(side: int) -> dict[str, dict[str, Any]]:
     }
 
 
-def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Mapping[str, Any]) -> None:
+def write_shard(folder: Path, segments: Sequence[Segment], task: str, robot: str, stamp: Mapping[str, Any]) -> None:
     """A LeRobot dataset with an episode for each segment; whole, or not there at all.
 
     Args:
         task: what LeRobot's datasets call the instruction.
+        robot: what they call the robot type.
         stamp: how it came about: seeds, rig hash, commit.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -65,6 +66,7 @@ def write_shard(folder: Path, segments: Sequence[Segment], task: str, stamp: Map
                 repo_id="local/recoveries",
                 fps=int(RATE_HZ),
                 features=features(segments[0].pictures.shape[2]),
+                robot_type=robot,
                 root=beside,
                 use_videos=True,
                 vcodec=CODEC,
@@ -134,8 +136,11 @@ def _abandon(dataset: Any) -> None:
             owner.writer.is_open = False
 
 
-def merge_shards(shards: Sequence[Path], folder: Path) -> None:
+def merge_shards(shards: Sequence[Path], folder: Path) -> dict[str, int]:
     """One LeRobot dataset of all shards, for whoever wants to train or look elsewhere; whole, or not there at all.
+
+    Returns:
+        How many "segments" (LeRobot's episodes) and "frames" it holds.
 
     Raises:
         TrainingError: a shard is missing, damaged or of another version.
@@ -150,6 +155,8 @@ def merge_shards(shards: Sequence[Path], folder: Path) -> None:
             aggregate_datasets(["local/recoveries"] * len(parts), "local/recoveries", roots=parts, aggr_root=beside)
         stamps = [json.loads(read_text(s / STAMP)) for s in shards]
         write_text(beside / STAMP, _json({"version": VERSION, "shards": stamps}))
+    info = json.loads(read_text(folder / "meta" / "info.json"))
+    return {"segments": int(info["total_episodes"]), "frames": int(info["total_frames"])}
 
 
 def contact_sheet(frames: Demonstrations, rows: int = 12, columns: int = 5) -> UInt8[np.ndarray, "h w 3"]:

@@ -242,6 +242,7 @@ CORNERED_INSERTION_S = Domain(
     classifiers={"HandEmpty": hand_empty, "Holding": holding, "On": on},
     operators=(PICK, INSERT, PLACE),
     recovery="Recover",
+    instruction="Drag the block out of the corner of the box.",
     relocate=relocate,
     dream=dream_task,
     practice=practice_task,

@@ -87,6 +87,13 @@ def test_a_camera_without_a_record_is_complained_of_where_one_is_expected() -> N
     assert said(None, expected=False) == []
 
 
+def test_cameras_that_have_never_been_calibrated_are_told_together() -> None:
+    none = dict.fromkeys(("front", "side", "wrist"))
+    assert complaints(none, CalibrationLimits(), date(2026, 3, 31)) == [
+        "cameras 'front', 'side' and 'wrist' have never been calibrated"
+    ]
+
+
 def test_a_rig_file_carries_records_and_limits(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     record = "\n".join(f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v}" for k, v in asdict(GOOD).items())

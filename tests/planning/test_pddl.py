@@ -8,8 +8,8 @@ from pyperplan.pddl.parser import Parser
 
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Operator, Predicate, Variable
-from resync_robot.core.vocabulary import BLOCK, ROBOT, TYPES
-from resync_robot.planning.pddl import domain_from_pddl, domain_to_pddl, problem_to_pddl
+from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT, TYPES
+from resync_robot.planning.pddl import domain_from_pddl, domain_to_pddl, object_names, problem_to_pddl
 from tests.planning.models import BLOCKS, ON, OPERATORS, PREDICATES, scene
 
 NAMES = st.from_regex(r"[A-Za-z][A-Za-z0-9_-]{0,8}", fullmatch=True)
@@ -18,10 +18,10 @@ NAMES = st.from_regex(r"[A-Za-z][A-Za-z0-9_-]{0,8}", fullmatch=True)
 @st.composite
 def models(draw):
     kinds = st.sampled_from(sorted(TYPES.values()))
-    names = draw(st.lists(NAMES, min_size=1, max_size=4, unique_by=str.lower))
-    predicates = [Predicate(n, tuple(draw(st.lists(kinds, max_size=3)))) for n in names]
+    names = draw(st.lists(NAMES.filter(lambda n: n.lower() not in TYPES), min_size=1, max_size=7, unique_by=str.lower))
+    predicates = [Predicate(n, tuple(draw(st.lists(kinds, max_size=3)))) for n in names[:4]]
     operators = []
-    for name in draw(st.lists(NAMES, max_size=3, unique_by=str.lower)):
+    for name in names[4:]:
         parameters = tuple(Variable(f"?v{i}", t) for i, t in enumerate(draw(st.lists(kinds, max_size=4))))
 
         def atoms(parameters=parameters):
@@ -50,7 +50,8 @@ def test_pyperplan_reads_it_too() -> None:
     objects, atoms = scene(2, {0})
     parser = Parser(None, None)
     parser.domInput = domain_to_pddl("insertion", TYPES.values(), PREDICATES, [*OPERATORS, bare])
-    parser.probInput = problem_to_pddl("p", "insertion", objects, atoms, frozenset({ON(BLOCKS[1], BLOCKS[0])}))
+    names = object_names(objects, TYPES.values(), PREDICATES, [*OPERATORS, bare])
+    parser.probInput = problem_to_pddl("p", "insertion", names, atoms, frozenset({ON(BLOCKS[1], BLOCKS[0])}))
     task = ground(parser.parse_problem(parser.parse_domain(read_from_file=False), read_from_file=False))
     assert "(on b1 b0)" in task.goals and len(task.operators) >= 6
 
@@ -88,3 +89,18 @@ def test_names_that_pddl_cannot_tell_apart_are_refused() -> None:
         domain_to_pddl("d", TYPES.values(), [Predicate("Free", (BLOCK,)), Predicate("free", (BLOCK,))], [])
     with pytest.raises(PlanningError, match="cannot stand in PDDL"):
         domain_to_pddl("d", TYPES.values(), [Predicate("is free?", (BLOCK,))], [])
+    with pytest.raises(PlanningError, match="type 'box' and predicate 'Box' have one name"):
+        domain_to_pddl("d", TYPES.values(), [Predicate("Box", (BLOCK,))], [])
+    with pytest.raises(PlanningError, match="predicate 'Wait' and operator 'wait'"):
+        domain_to_pddl("d", TYPES.values(), [Predicate("Wait", (BLOCK,))], [Operator("wait", ())])
+
+
+def test_no_object_shares_a_name_with_anything_else() -> None:
+    box, robot, on, b0, shadow, taken = BOX("box"), ROBOT("Robot"), BLOCK("on"), BLOCK("b0"), BLOCK("B0"), BLOCK("box0")
+    names = object_names([box, robot, on, b0, shadow, taken], TYPES.values(), PREDICATES, OPERATORS)
+    assert names[taken] == "box0" and names[b0] != names[shadow]
+    assert names[box] == "box1" and names[robot] == "Robot0" and names[on] == "on0"
+    used = [*TYPES, *(p.name for p in PREDICATES), *(o.name for o in OPERATORS), *names.values()]
+    assert len({n.lower() for n in used}) == len(used)
+    text = problem_to_pddl("p", "d", names, frozenset({ON(on, b0)}), frozenset({ON(b0, on)}))
+    assert "(:init (On on0 " in text and "; box1 is the object 'box'" in text

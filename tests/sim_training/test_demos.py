@@ -265,7 +265,7 @@ def segment(n: int = 5, ends: bool = True) -> Segment:
 @pytest.fixture(scope="module")
 def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demos") / "shard"
-    dataset.write_shard(folder, [segment(5), segment(7, ends=False)], "Recover", {"first_seed": 3})
+    dataset.write_shard(folder, [segment(5), segment(7, ends=False)], "Recover", "ur7e_2f-140", {"first_seed": 3})
     return folder
 
 
@@ -285,7 +285,7 @@ def test_a_shard_comes_back_as_it_went(shard: Path) -> None:
 def test_a_full_disk_leaves_no_shard(shard: Path, tmp_path: Path, full_disk, capfd: pytest.CaptureFixture[str]) -> None:
     for room in (500, 9000):
         with pytest.raises(OSError) as caught, full_disk(room):
-            dataset.write_shard(tmp_path / "shard", [segment(5), segment(30)], "Recover", {})
+            dataset.write_shard(tmp_path / "shard", [segment(5), segment(30)], "Recover", "ur7e_2f-140", {})
         assert disk_fault(caught.value).what == f"cannot write {tmp_path / 'shard'}: File too large"
         with pytest.raises(Exception) as caught, full_disk(room):
             dataset.merge_shards([shard, shard], tmp_path / "whole")
@@ -341,7 +341,7 @@ def test_any_damage_to_any_file_of_a_shard_is_named(shard: Path, tmp_path: Path)
 
 
 def test_no_success_at_all_is_an_error_that_says_so(tmp_path: Path) -> None:
-    dataset.write_shard(tmp_path / "empty", [], "Recover", {})
+    dataset.write_shard(tmp_path / "empty", [], "Recover", "ur7e_2f-140", {})
     with pytest.raises(TrainingError, match="none of its worlds"):
         dataset.read_shards([tmp_path / "empty"])
 

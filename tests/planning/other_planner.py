@@ -1,0 +1,17 @@
+"""Another planner, Fast Downward by way of unified-planning, over PDDL files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def solve(domain: Path, problem: Path) -> list[tuple[str, ...]]:
+    """A shortest plan: each step's operator and objects, by their names in the files and in lower case."""
+    from unified_planning.io import PDDLReader
+    from unified_planning.shortcuts import OneshotPlanner, get_environment
+
+    get_environment().credits_stream = None
+    read = PDDLReader().parse_problem(str(domain), str(problem))
+    with OneshotPlanner(name="fast-downward-opt") as planner:
+        found = planner.solve(read).plan
+    return [(a.action.name.lower(), *(str(o).lower() for o in a.actual_parameters)) for a in found.actions]
