@@ -111,7 +111,9 @@ def assemble(
         pool: every concept that could be selected, for the predicates that selected ones derive from.
         report: what earlier stages have to say; the model is added to it.
     """
-    named, names = _name(selection.concepts, {p.name for p in given.predicates})
+    # PDDL has one space of names, so a new predicate is called like no type and no operator either.
+    taken = {known.name for known in (*given.types, *given.predicates, *selection.score.operators)}
+    named, names = _name(selection.concepts, taken)
     renamed = {old: n.predicate for old, n in names.items()}
     operators = tuple(_renamed(_with_effects(op, pool, names), renamed) for op in selection.score.operators)
     predicates = (*given.predicates, *(n.predicate for n in named))

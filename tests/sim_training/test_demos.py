@@ -302,11 +302,12 @@ def test_a_shard_opens_in_stock_lerobot_and_shards_merge_into_one(shard: Path, t
     one = LeRobotDataset("local/recoveries", root=shard, video_backend="pyav")
     assert len(one) == 12 and one.num_episodes == 2
     frame = one[6]
+    assert one.meta.robot_type == "ur7e_2f-140" and frame["task"] == "Recover"
     assert frame["observation.images.front"].shape == (3, PICTURE, PICTURE)
     np.testing.assert_allclose(frame["action"].numpy(), segment(7).action[1], rtol=1e-6)
-    dataset.merge_shards([shard, shard], tmp_path / "whole")
+    assert dataset.merge_shards([shard, shard], tmp_path / "whole") == {"segments": 4, "frames": 24}
     whole = LeRobotDataset("local/recoveries", root=tmp_path / "whole", video_backend="pyav")
-    assert len(whole) == 24 and whole.num_episodes == 4
+    assert len(whole) == 24 and whole.num_episodes == 4 and whole.meta.robot_type == "ur7e_2f-140"
 
 
 @pytest.mark.parametrize("damage", ["version", "stamp", "video"])

@@ -12,10 +12,11 @@ from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
-from resync_robot.core.task import Task
+from resync_robot.core.task import Domain, Task
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.learning.failures import relative_pose
 from resync_robot.planning.abstract import Abstraction
+from resync_robot.planning.pddl import domain_to_pddl
 from resync_robot.policies.cartesian import Hand
 from resync_robot.sim_training.domains import DOMAINS, find_domain, world_task
 from resync_robot.sim_training.domains.cornered_insertion_s import cover, expert, hand_empty, holding, on
@@ -57,6 +58,12 @@ def tip_is_reached(tip: np.ndarray, yaw: float) -> bool:
     pose = spatial.transform(Hand.rotation(yaw), tip)
     flange = spatial.inverse(RIG.arm.world_T_base) @ pose @ spatial.inverse(RIG.gripper.flange_T_tip)
     return bool(np.all(np.isfinite(RIG.arm.kinematics.inverse(flange, RIG.arm.home))))
+
+
+@pytest.mark.parametrize("domain", DOMAINS.values(), ids=list(DOMAINS))
+def test_a_domain_can_be_written_for_other_planners_and_says_what_its_recovery_does(domain: Domain) -> None:
+    assert domain_to_pddl(domain.name, domain.types, domain.predicates, domain.operators)
+    assert domain.instruction.endswith(".")
 
 
 @settings(max_examples=60)
