@@ -10,7 +10,6 @@ from resync_robot.plan_files import check_plan_files, write_plan_files
 
 if TYPE_CHECKING:
     from resync_robot.core.episode import Episode
-    from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Domain, Task
     from resync_robot.perception.segment import Segmenter
@@ -39,6 +38,7 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.run_folder import check_folder, default_folder
     from resync_robot.signals import held
     from resync_robot.sim_training.domains import find_domain
+    from resync_robot.sources import deployed_by_camera
 
     check_range("--episodes", config.episodes, 1, MOST_EPISODES)
     check_seed(config.seed)
@@ -48,7 +48,7 @@ def deploy(config: DeployConfig) -> int:
         _check_rig(config, rig)
     domain.scenario(config.scenario)
     library = load_library(config.library or shipped_library(domain.name))
-    by_camera = _by_camera(config, domain, rig, library)
+    by_camera = deployed_by_camera(config, domain, rig, library)
     segmenter = _segmenter(config, rig)
     model = learned_model(domain, rig, library, camera_recovery(domain, rig, library) if by_camera else None)
     recording = _recording(config)
@@ -124,32 +124,6 @@ def deploy(config: DeployConfig) -> int:
     review = f" Review:  resync-robot review {path}" if path.exists() else ""
     say(f"{good} of {len(tasks)} episodes {done}.{review}")
     return 0 if good == len(tasks) and outcome.halt is not Halt.UNKNOWN and outcome.recorded else 3
-
-
-def _by_camera(config: DeployConfig, domain: Domain, rig: Rig, library: Library) -> bool:
-    """Whether the recovery sees by camera. Says so where it does not though the library holds a camera policy.
-
-    Raises:
-        ConfigError: it was asked to see without cameras, or there is nothing else that it could follow its block by.
-    """
-    from resync_robot.knowledge import sees_by_camera, why_not_by_camera
-    from resync_robot.progress import say
-
-    if config.skills == "camera" and config.perception == "oracle":
-        raise ConfigError("--skills camera needs cameras", "leave out --perception oracle")
-    if config.skills != "auto" or config.perception == "oracle":
-        return config.skills == "camera"
-    why = why_not_by_camera(domain, library)
-    anyway = "use it all the same: --skills camera"
-    if why and config.backend == "ur7e" and not (rig.controller and rig.controller.emulated):
-        better = "train longer: resync-robot train-sim --preset quick"
-        raise ConfigError(
-            f"{why}, and on a real arm there is nothing else to follow a block by",
-            f"{better}, or {anyway}" if sees_by_camera(domain, library) else better,
-        )
-    if why and sees_by_camera(domain, library):
-        say(f"Note: {why}, so {domain.recovery} does without.\n  -> {anyway}")
-    return not why
 
 
 def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from resync_robot.core.damage import check_shape
-from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.core.errors import ConfigError, RenderError, UnknownNameError
 from resync_robot.core.options import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
 from resync_robot.evaluation_report import EPISODE, EpisodeRow, count_once, report, table
 from resync_robot.given import Given, Several
 
 if TYPE_CHECKING:
-    from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.skill import GroundSkill
     from resync_robot.core.symbols import Atoms
@@ -131,6 +131,7 @@ def evaluate(config: EvaluateConfig) -> None:
     from resync_robot.run_folder import git_hash
     from resync_robot.sim_training.domains import find_domain
     from resync_robot.sim_training.parallel import parallel_map
+    from resync_robot.sources import evaluated_sources, in_words
 
     check_seeds(config.seeds)
     check_range("--workers", config.workers, 1, MOST_WORKERS)
@@ -161,7 +162,9 @@ def evaluate(config: EvaluateConfig) -> None:
     )
     paths = [by_hash[content] for content in hashes]
     libraries = [found[path] for path in paths]
-    perception, skills, note = _sources(config, domain, dict(zip(paths, libraries, strict=True)))
+    perception, skills, note = evaluated_sources(
+        config.perception, config.skills, domain, dict(zip(paths, libraries, strict=True))
+    )
     if not methods or not scenarios:
         raise ConfigError(f"--{'scenarios' if methods else 'methods'} names none", "name one, or leave it out")
     jobs = [
@@ -196,7 +199,7 @@ def evaluate(config: EvaluateConfig) -> None:
     drawn = (config.worlds, physics == "reference")
     context = partial(_context, config.domain, tuple(map(str, paths)), perception, skills, *drawn, rig)
     # Written before the table, so that it is kept where nobody reads that.
-    with file.open(config.resume):
+    with file.open(config.resume), _naming_the_way_without_pictures():
         if note:
             _log.info(note)
         with Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
@@ -209,33 +212,16 @@ def evaluate(config: EvaluateConfig) -> None:
                     )
                 wins, count = sum(r.success for r in file.done.values()), len(file.done)
                 progress(count / len(jobs), f"{wins} of {count} episodes reached their goal")
-    say(table(file.found, methods, scenarios, _words(domain, perception, skills)))
+    say(table(file.found, methods, scenarios, in_words(domain, perception, skills)))
 
 
-def _words(domain: Domain, perception: str, skills: str) -> str:
-    """Where poses come from and what the recovery sees."""
-    ways = {"poses": perception, domain.recovery: skills}
-    return ", ".join(f"{what} by {'camera' if way == 'camera' else 'exact state'}" for what, way in ways.items())
-
-
-def _sources(config: EvaluateConfig, domain: Domain, libraries: Mapping[Path, Library]) -> tuple[str, str, str]:
-    """Where poses come from ("camera" or "oracle"), what the recovery sees ("camera" or "state"), and what to tell a
-    person about how these were chosen, after a look at what there is. Raises ConfigError."""
-    from resync_robot.knowledge import sees_by_camera, why_not_by_camera
-
-    if config.skills == "camera" and config.perception == "oracle":
-        raise ConfigError("--skills camera needs cameras", "leave out --perception oracle")
-    reasons = {path: why for path, library in libraries.items() if (why := why_not_by_camera(domain, library))}
-    by_camera = config.skills == "camera" or not reasons
-    perception = config.perception if config.perception != "auto" else "camera" if by_camera else "oracle"
-    skills = config.skills if config.skills != "auto" else "camera" if perception == "camera" and by_camera else "state"
-    note = ""
-    if reasons and "camera" not in (config.skills, skills) and config.perception != "oracle":
-        path, why = next(iter(reasons.items()))
-        note = f"{why} ({path}), hence {_words(domain, perception, skills)}."
-        if sees_by_camera(domain, libraries[path]):
-            note += "\n  -> use it all the same: --skills camera"
-    return perception, skills, note
+@contextmanager
+def _naming_the_way_without_pictures() -> Iterator[None]:
+    """Where no device can render, the error says how to go on without. Raises RenderError."""
+    try:
+        yield
+    except RenderError as error:
+        raise RenderError(error.what, f"{error.fix}; or do without pictures: --perception oracle") from None
 
 
 def _methods(given: Sequence[str]) -> tuple[str, ...]:

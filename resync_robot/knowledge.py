@@ -21,9 +21,6 @@ from resync_robot.planning.execute import Affordance, Model
 from resync_robot.planning.pddl import domain_to_pddl
 from resync_robot.planning.risk import Risk, Tally
 
-LEAST_RECOVERED = 0.5
-"""Share of its trials in which a camera policy has to recover to be used without being asked for."""
-
 
 def shipped_library(domain: str) -> Path:
     """Where the library lies that comes with the program."""
@@ -54,26 +51,6 @@ def model_with_recovery(domain: Domain, rig: Rig, record: Record, skill: Skill |
 def sees_by_camera(domain: Domain, library: Library) -> bool:
     """Does the library hold a camera policy for the recovery?"""
     return domain.recovery in library.policies
-
-
-def camera_trials(library: Library) -> tuple[int, int] | None:
-    """(recovered, worlds) of the trials by which the camera policy was kept; None where the library does not say."""
-    try:
-        figures = library.provenance["figures"]["distil"]
-        kept = next(point for point in figures["points"] if point["step"] == figures["chosen"])
-        return int(kept["success"]), int(kept["worlds"])
-    except (KeyError, TypeError, ValueError, StopIteration):
-        return None
-
-
-def why_not_by_camera(domain: Domain, library: Library) -> str:
-    """Why the recovery does not see by camera unless somebody asks for it, as a clause; empty where it does."""
-    if not sees_by_camera(domain, library):
-        return f"the library holds no camera policy for {domain.recovery}"
-    trials = camera_trials(library)
-    if trials is not None and trials[0] < LEAST_RECOVERED * trials[1]:
-        return f"the library's camera policy recovered in only {trials[0]} of the {trials[1]} trials of its training"
-    return ""
 
 
 def camera_recovery(domain: Domain, rig: Rig, library: Library) -> Skill:

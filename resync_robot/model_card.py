@@ -77,6 +77,8 @@ LIMITS = f"""## Limits
   black, frozen or exchanged) are resync-robot's and not in these files.
 - It begins where the hand stands above the block, after a scan, and each picture is a window of {SPAN} m about the
   finger tips: `learning/camera_view.py` of resync-robot cuts it. Whole pictures mean nothing to it.
+- resync-robot starts the diffusion from no noise, so that the same picture gives the same, most likely motion;
+  `select_action` draws noise.
 - `heads.safetensors` (is it done, where is the block) is ours, and LeRobot does not read it."""
 
 
@@ -135,7 +137,7 @@ def _training(provenance: Mapping[str, Any]) -> str:
         "the state policy goes on from wherever that leads. Lamps, shadows, surfaces, exposure, sizes, friction, "
         "delays and errors of calibration are drawn anew for each."
     )
-    return f"{words} {'; '.join(known)}." if known else words
+    return f"{words}\n\nMade with: {', '.join(known)}." if known else words
 
 
 def _trials(provenance: Mapping[str, Any]) -> str:

@@ -18,8 +18,8 @@ import pytest
 from resync_robot import backends, cli, deploy, deployed_episode, deployed_world
 from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
-from resync_robot.core.errors import ConfigError, RenderError
-from resync_robot.core.library import Library, save_library
+from resync_robot.core.errors import RenderError
+from resync_robot.core.library import save_library
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.deploy import DeployConfig
 from resync_robot.hardware import room
@@ -29,7 +29,7 @@ from resync_robot.recorder import Recorder
 from resync_robot.sim_training.domains import find_domain, world_task
 from resync_robot.sim_training.world import SimWorld
 from tests import scenes
-from tests.libraries import DOMAIN, given_library, with_camera_policy
+from tests.libraries import DOMAIN, given_library
 from tests.planning.other_planner import solve
 
 RIG = str(Path(__file__).parents[1] / "hardware" / "emulated.toml")
@@ -110,37 +110,6 @@ def test_the_world_and_goal_are_those_of_the_scenario_unless_a_goal_is_given() -
     asked = deploy._task(DeployConfig(scenario="s1", seed=3, goal="Holding(r,b1)"), domain, 3)
     assert asked.initial == plain.initial and asked.physics == plain.physics
     assert ", ".join(map(str, asked.goal)) == "Holding(r, b1)"
-
-
-@pytest.mark.parametrize(
-    ("given", "args", "expected", "said"),
-    [
-        (given_library(), {}, False, ""),
-        (with_camera_policy(8, 8), {}, True, ""),
-        (with_camera_policy(8, 8), {"perception": "oracle"}, False, ""),
-        (with_camera_policy(8, 8), {"skills": "state"}, False, ""),
-        (with_camera_policy(0, 8), {}, False, "only 0 of the 8 trials"),
-        (with_camera_policy(0, 8), {"skills": "camera"}, True, ""),
-    ],
-)
-def test_a_camera_policy_that_failed_its_trials_is_not_used_without_a_word(
-    given: Library, args: dict[str, Any], expected: bool, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert deploy._by_camera(DeployConfig(**args), find_domain(DOMAIN), load_rig(), given) is expected
-    out = capsys.readouterr().out
-    assert said in out and bool(said) == bool(out) == ("-> use it all the same: --skills camera" in out)
-
-
-def test_a_real_arm_has_nothing_else_to_follow_a_block_by() -> None:
-    rig = load_rig(Path(RIG))
-    config, domain = DeployConfig(backend="ur7e"), find_domain(DOMAIN)
-    assert deploy._by_camera(config, domain, rig, given_library()) is False, "an emulated one has"
-    assert rig.controller is not None
-    real = replace(rig, controller=replace(rig.controller, emulated=False))
-    with pytest.raises(ConfigError, match=r"no camera policy for Recover, and on a real arm(?s:.)*train-sim"):
-        deploy._by_camera(config, domain, real, given_library())
-    with pytest.raises(ConfigError, match=r"only 0 of the 8 trials(?s:.)*or use it all the same: --skills camera"):
-        deploy._by_camera(config, domain, real, with_camera_policy(0, 8))
 
 
 def test_a_step_is_confirmed_by_a_word_only(monkeypatch: pytest.MonkeyPatch) -> None:

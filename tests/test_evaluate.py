@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from resync_robot import __version__, cli, evaluate
-from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.core.errors import ConfigError, RenderError, UnknownNameError
 from resync_robot.core.library import Library, save_library
 from resync_robot.core.lock import sole_writer
 from resync_robot.evaluate import Job
@@ -462,6 +462,18 @@ def test_results_of_other_settings_are_never_mixed(
     error = capsys.readouterr().err
     assert word in error and "--json" in error
     assert file.read_bytes() == before
+
+
+def test_where_nothing_can_render_it_says_how_to_go_on_without(
+    quick: Callable[..., int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def blind(*_: object) -> Iterator[EpisodeRow]:
+        raise RenderError("no Vulkan device can render", "mend it")
+        yield
+
+    monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", blind)
+    assert quick("--scenarios", "s0", "--perception", "camera") == 2
+    assert "-> mend it; or do without pictures: --perception oracle" in capsys.readouterr().err
 
 
 def test_results_of_another_commit_are_never_mixed(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from resync_robot.knowledge import (
     model_with_recovery,
     sees_by_camera,
     shipped_library,
-    why_not_by_camera,
 )
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.model import Concepts
@@ -30,7 +28,7 @@ from resync_robot.planning.pddl import domain_to_pddl
 from resync_robot.planning.search import plan
 from resync_robot.sim_training.domains import find_domain
 from tests import scenes
-from tests.libraries import DOMAIN, given_library, recovery_record, with_camera_policy
+from tests.libraries import DOMAIN, given_library, recovery_record
 
 RIG, CORNERED = load_rig(), find_domain(DOMAIN)
 ON = CORNERED.predicate("On")
@@ -170,22 +168,3 @@ def test_a_recovery_can_be_put_in_place_of_the_one_that_follows_the_state() -> N
     other = replace(learned_model(CORNERED, RIG, given_library()).skill(CORNERED.recovery), live_state=False)
     model = learned_model(CORNERED, RIG, given_library(), other)
     assert model.skill(CORNERED.recovery) is other
-
-
-@pytest.mark.parametrize(
-    ("provenance", "why"),
-    [
-        (with_camera_policy(4, 8).provenance, ""),
-        (with_camera_policy(3, 8).provenance, "recovered in only 3 of the 8 trials"),
-        ({}, ""),
-        ({"figures": {"distil": {"points": [], "chosen": 1}}}, ""),
-        ({"figures": {"distil": {"points": [{"step": 1}], "chosen": 1}}}, ""),
-        ({"figures": []}, ""),
-    ],
-)
-def test_a_camera_policy_that_failed_its_trials_is_found_by_what_training_left(
-    provenance: dict[str, Any], why: str
-) -> None:
-    found = why_not_by_camera(CORNERED, replace(with_camera_policy(1, 1), provenance=provenance))
-    assert why in found and bool(why) == bool(found)
-    assert "no camera policy for Recover" in why_not_by_camera(CORNERED, given_library())

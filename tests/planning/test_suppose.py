@@ -48,7 +48,9 @@ def stacked(*pairs: tuple[Object, Object]) -> tuple[list[Object], Atoms]:
 
 def test_what_lies_on_the_wrong_base_is_lifted_off_though_no_operator_says_that_this_bares_it() -> None:
     objects, atoms = stacked((B2, B0))
-    found, supposed = find_plan(OPERATORS, ABSTRACTION, objects, atoms, frozenset({ON(B1, B0), ON(B2, B1)}))
+    goal = frozenset({ON(B1, B0), ON(B2, B1)})
+    found, supposed = find_plan(OPERATORS, ABSTRACTION, objects, atoms, goal)
+    assert found.atoms == atoms and not found.reaches(goal), "not by the operators as they are"
     assert [str(s) for s in found.steps][:2] == ["Pick(robot, b2)", "Insert(robot, b2, b1)"]
     assert supposed == "Pick(robot, b2) ends On"
 
@@ -70,6 +72,7 @@ def test_nothing_is_supposed_where_a_plan_exists() -> None:
     objects, atoms = stacked()
     found, supposed = find_plan(OPERATORS, ABSTRACTION, objects, atoms, frozenset({ON(B1, B0)}))
     assert supposed == "" and len(found.steps) == 2
+    assert found.reaches(frozenset({ON(B1, B0)})) and not found.reaches(frozenset({ON(B0, B1)}))
 
 
 def test_a_goal_that_no_supposition_reaches_is_out_of_reach() -> None:
