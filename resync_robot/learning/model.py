@@ -112,8 +112,8 @@ def assemble(
         report: what earlier stages have to say; the model is added to it.
     """
     # PDDL has one space of names, so a new predicate is called like no type and no operator either.
-    taken = {known.name for known in (*given.types, *given.predicates, *selection.score.operators)}
-    named, names = _name(selection.concepts, taken)
+    taken = [*(t.name for t in given.types), *(p.name for p in given.predicates)]
+    named, names = _name(selection.concepts, {*taken, *(o.name for o in selection.score.operators)})
     renamed = {old: n.predicate for old, n in names.items()}
     operators = tuple(_renamed(_with_effects(op, pool, names), renamed) for op in selection.score.operators)
     predicates = (*given.predicates, *(n.predicate for n in named))

@@ -64,7 +64,8 @@ def object_names(
     An object 'box' of the type 'box' becomes 'box0': many planners have one space of names for types, predicates,
     operators and objects, and none tells upper case from lower.
     """
-    taken = {named.name.lower() for those in (types, predicates, operators) for named in those}
+    known = [*(t.name for t in types), *(p.name for p in predicates), *(o.name for o in operators)]
+    taken = {name.lower() for name in known}
     names: dict[Object, str] = {}
     # Those that keep their name come first, so that no other is given it.
     for obj in sorted(objects, key=lambda o: (o.name.lower() in taken, o)):
@@ -84,7 +85,10 @@ def problem_to_pddl(name: str, domain: str, names: Mapping[Object, str], atoms: 
     """
 
     def conjuncts(of: Atoms) -> list[str]:
-        return [f"({' '.join([a.predicate.name, *(names.get(o, o.name) for o in a.args)])})" for a in sorted(of)]
+        return [
+            f"({' '.join([a.predicate.name, *(names[o] if isinstance(o, Object) else o.name for o in a.args)])})"
+            for a in sorted(of)
+        ]
 
     listed = " ".join(f"{_checked(names[o])} - {o.type.name}" for o in sorted(names))
     return "\n".join(
