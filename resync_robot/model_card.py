@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from resync_robot import policies
-from resync_robot.core.damage import check_shape
+from resync_robot.core.damage import Shape, check_shape
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import CARD, RETRAIN, Library, load_library, save_library
 from resync_robot.core.task import Domain
@@ -160,7 +160,7 @@ def _trials(provenance: Mapping[str, Any]) -> str:
 
 def _config(files: Mapping[str, bytes]) -> Any:
     pictures = {f"observation.images.{view}": {"shape": list} for view in VIEWS}
-    shape = {"input_features": pictures, "horizon": int, "vision_backbone": str}
+    shape: Shape = {"input_features": pictures, "horizon": int, "vision_backbone": str}
     try:
         config = json.loads(files["config.json"])
         check_shape(config, shape)
