@@ -7,16 +7,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from resync_robot.core.errors import MotionError, ResyncError
 from resync_robot.core.joints import JointTarget
-from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Window
 
 if TYPE_CHECKING:
+    from resync_robot.core.episode import Timing
+    from resync_robot.hardware.clearance import Obstacle
     from resync_robot.hardware.room import Room
 
 SERVO_PERIOD = 0.002
@@ -113,6 +115,9 @@ class Command:
     sent: JointTarget
 
 
+Recorder = Callable[[RobotState, Command], None]
+
+
 class Device(Protocol):
     """Something that is connected, used, and closed; `close` may be called twice."""
 
@@ -198,6 +203,39 @@ class RealtimeRobot(Robot, Protocol):
         ...
 
 
+class Motions(Protocol):
+    """What takes an arm from target to target: `resync_robot.hardware.stream.Stream`, or a recording of one."""
+
+    @property
+    def target(self) -> JointTarget:
+        """The last target asked for; after `restart` and `limit_effort` where the arm rests."""
+        ...
+
+    @property
+    def timing(self) -> Timing | None:
+        """Of the last target that `run` was given."""
+        ...
+
+    recorders: list[Recorder]
+    """Told what is measured and sent meanwhile."""
+
+    def run(self, target: JointTarget, duration: float, travel: bool = False) -> Any:
+        """Move towards `target` for `duration` s."""
+        ...
+
+    def settle(self, tolerance: float = 2e-3, timeout: float = 3.0) -> bool:
+        """Hold the last target until the arm rests there."""
+        ...
+
+    def limit_effort(self, limit: tuple[float, ...] | None) -> None: ...
+
+    def restart(self) -> None:
+        """Begin again where the arm is measured, at rest."""
+        ...
+
+    def keep_out(self, *obstacles: Obstacle) -> None: ...
+
+
 class Gripper(Device, Protocol):
     """A two-finger gripper."""
 
@@ -225,6 +263,16 @@ class WindowedCamera(Protocol):
 
     def cut_out(self, window: Window, size: int) -> Cutout:
         """What lies in the window now, scaled to (size, size). Raises RobotError when no picture arrives."""
+        ...
+
+
+@runtime_checkable
+class FilmedCamera(Protocol):
+    """A camera that shows what it sees by the way: nobody who asks it for a picture waits longer for it, or gets
+    another one."""
+
+    def glimpse(self) -> Glimpse:
+        """What it sees about now. Raises RobotError when there is nothing."""
         ...
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from resync_robot.core.rig import CameraRig
-from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Window
 from resync_robot.hardware.base import Connected, RobotError, SkewError, StaleError
 from resync_robot.hardware.crop import crop
 from resync_robot.hardware.pauses import blaming_a_pause
@@ -160,6 +160,14 @@ class RealSense(Connected):
         self._require_stream()
         pair = self._wait(lambda p: self._age(p) <= FRESH_S, FRESH_S)
         return Cutout(self.name, crop(_colour(pair.frames), window, size), self._told(pair))
+
+    def glimpse(self) -> Glimpse:
+        """The colours of the newest picture, however old; nothing is waited for. Raises StaleError before the first."""
+        self._require_stream()
+        pair = self._newest
+        if pair is None:
+            raise self._stale("no picture came", 0.0)
+        return Glimpse(self.name, _colour(pair.frames).copy(), self._told(pair))
 
     def _age(self, pair: _Pair) -> float:
         return time.time() - pair.exposed if self._fresh else time.monotonic() - pair.arrived

@@ -1,53 +1,168 @@
-"""A recorded episode in place of a robot: the arm goes where it is sent, everything it sees and feels was recorded.
+"""A recorded episode in place of a robot: what the executive asks of the world is answered with what it was told then.
 
-Its clock runs on setpoints, from the recording's first moment, and pads, pictures and objects are those of that moment;
-a look takes it on to when the picture was taken, for a real arm waits while somebody computes. So the executive runs as
-it did, and what it does otherwise today shows as a departure from what was sent then.
+Answers come in the order in which they were given, and time is recorded time: nothing is simulated, the arm goes where
+it went. So the executive, the policies and the perception of today run over the measurements of then. Whatever they ask
+or want otherwise is a `Departure`, and the end: nobody knows what the world would have answered to that.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from resync_robot.core.episode import Episode, Joints, Picture
-from resync_robot.core.errors import EpisodeError
+from resync_robot.core.episode import Answer, Ask, Episode, Joints, Picture
+from resync_robot.core.errors import EpisodeError, ResyncError
+from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.state import State
+from resync_robot.core.vocabulary import TYPES
 from resync_robot.core.world import CameraFrame, Cutout, Window
-from resync_robot.hardware.base import SERVO_PERIOD, Connected, GripperState, RobotError, RobotState
+from resync_robot.hardware.base import Command, Connected, ProtectiveStopError, Recorder, RobotError, RobotState
+from resync_robot.hardware.clearance import Obstacle
 
-HELD = 2e-3
-"""m by which the recorded pads stood wider than asked for an object to have been between them."""
-STILL_S, STILL = 0.1, 1e-3
-"""s before and after, and m within which they did not move then: pads that are late stand wider, too."""
-
-
-class ReplayGripper(Connected):
-    """The recorded pads."""
-
-    def __init__(self, robot: ReplayRobot) -> None:
-        self._robot = robot
-
-    def connect(self) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-    def state(self) -> GripperState:
-        opening = self._robot.state().opening
-        return GripperState(opening, opening > self._robot.asked + HELD)
-
-    def move(self, opening: float) -> None:
-        self._robot.asked = opening
+ALIKE = 1e-3
+"""rad of a joint, or m of the opening, by which a target may differ from the recorded one: the same program on another
+processor rounds otherwise."""
 
 
-class ReplayRobot(Connected):
-    """A robot made of a recording.
+class Departure(ResyncError):
+    """Today's run does otherwise than the recorded one.
+
+    Attributes:
+        time: s of the episode, when.
+        why: what it does, and what was done then.
+    """
+
+    def __init__(self, time: float, why: str) -> None:
+        super().__init__(f"departed at {time:.2f} s, because {why}")
+        self.time, self.why = time, why
+
+
+class RecordingOverError(ResyncError):
+    """All that was recorded has been told. The recorded run may have ended there, or broken off."""
+
+
+class Answers:
+    """What the executive of an episode was told, to be told once more.
+
+    Raises:
+        EpisodeError: the recording holds none.
+    """
+
+    def __init__(self, episode: Episode) -> None:
+        self.path = episode.path
+        self._told = list(episode.answers())
+        if not self._told:
+            raise EpisodeError(
+                f"{episode.path} does not hold what its executive was told, without which it cannot be replayed",
+                "record one with this version:  resync-robot deploy",
+            )
+        self._given = 0
+        first_time, first = self._told[0]
+        self.first, self.begin = first, first.clock - first_time
+        self.clock = self.begin
+        """s on the recorded robot's clock, of the latest answer."""
+        self.at = 0.0
+        """s of the episode at which the last one lies in the recording, and with it the picture that it is about."""
+        self.largest = 0.0
+        """rad or m by which a target has differed most from the recorded one."""
+
+    @property
+    def now(self) -> float:
+        """s of the episode."""
+        return self.clock - self.begin
+
+    @property
+    def left(self) -> int:
+        """How many have not been given yet."""
+        return len(self._told) - self._given
+
+    def stopped(self) -> str | None:
+        """Why the robot stopped by itself next, and that is told; None where it goes on."""
+        return str(self.take(Ask.STOP).details.get("reason")) if self._next_is(Ask.STOP) else None
+
+    def take(self, ask: Ask, target: JointTarget | None = None, camera: str = "") -> Answer:
+        """The next answer.
+
+        Args:
+            target: what the arm is being sent to, where that is to be what it was then.
+            camera: of which a picture is asked.
+
+        Raises:
+            Departure: something else was asked next, or the arm was sent elsewhere.
+            RecordingOverError: nothing was asked any more.
+        """
+        if not self.left:
+            raise RecordingOverError(f"the recording ends at {self.now:.2f} s, and today's run {_words(ask, camera)}")
+        at, answer = self._told[self._given]
+        then = str(answer.details.get("camera", ""))
+        # First what the arm was sent to: whoever is sent elsewhere asks otherwise soon, and nobody would see why.
+        if target is not None and answer.ask is not Ask.REST:
+            self._compare(target, answer.target)
+        if (ask, camera) != (answer.ask, then):
+            raise Departure(self.now, f"it {_words(ask, camera)}, where the recorded run {_words(answer.ask, then)}")
+        self._given, self.at = self._given + 1, at
+        self.clock = max(self.clock, answer.clock)
+        return answer
+
+    def content(self, answer: Answer) -> _Content:
+        """Its details, for reading."""
+        return _Content(answer, f"{self.path}: the answer of {self.now:.3f} s makes no sense")
+
+    def _next_is(self, ask: Ask) -> bool:
+        return bool(self.left) and self._told[self._given][1].ask is ask
+
+    def _compare(self, today: JointTarget, then: JointTarget) -> None:
+        difference = np.abs([*(today.arm - then.arm), today.opening - then.opening])
+        worst = int(np.argmax(difference))
+        if not difference[worst] <= ALIKE:
+            if worst == len(ARM_JOINTS):
+                told = f"{1000 * today.opening:.1f} mm, where it was told {1000 * then.opening:.1f} mm"
+                why = f"the hand is told to open {told}"
+            else:
+                sent = f"{today.arm[worst]:.3f} rad, where it was sent to {then.arm[worst]:.3f}"
+                why = f"{ARM_JOINTS[worst]} is sent to {sent}"
+            raise Departure(self.now, why)
+        self.largest = max(self.largest, float(difference[worst]))
+
+
+class _Content:
+    """Reads an answer's details; raises EpisodeError for what is missing or of another kind."""
+
+    def __init__(self, answer: Answer, what: str) -> None:
+        self._details, self._what = answer.details, what
+
+    def vector(self, name: str, length: int) -> Float[np.ndarray, " n"]:
+        return self._read(name, lambda value: np.array(value, dtype=np.float64).reshape(length))
+
+    def number(self, name: str) -> float:
+        return self._read(name, float)
+
+    def flag(self, name: str) -> bool:
+        return self._read(name, bool)
+
+    def state(self, name: str) -> State:
+        return self._read(name, lambda value: State.from_json(value, TYPES))
+
+    def _read(self, name: str, read: Callable[[Any], Any]) -> Any:
+        try:
+            return read(self._details[name])
+        except (LookupError, TypeError, ValueError, AttributeError, ResyncError) as error:
+            raise EpisodeError(f"{self._what}: {name}: {error}") from None
+
+
+def _words(ask: Ask, camera: str) -> str:
+    return f"{ask.value} of camera '{camera}'" if camera else ask.value
+
+
+class ReplayArm(Connected):
+    """The recorded arm and hand: a `Robot` that is measured as then, and `Motions` whose targets are compared with
+    those of then.
 
     Args:
         episode: with at least one message of joints.
@@ -56,24 +171,18 @@ class ReplayRobot(Connected):
         EpisodeError: it has none.
     """
 
-    def __init__(self, episode: Episode) -> None:
-        self._joints: Sequence[Joints] = list(episode.joints())
+    timing = None
+
+    def __init__(self, episode: Episode, answers: Answers) -> None:
+        self._answers = answers
+        self._joints = list(episode.joints())
         if not self._joints:
             raise EpisodeError(f"{episode.path} holds no joints to replay", "record one with resync-robot deploy")
-        self._times = [j.time for j in self._joints]
-        self._held = held(self._joints)
-        forces = list(episode.tip_force())
-        self._force_times, self._forces = [t for t, _ in forces], [f for _, f in forces]
-        self.gripper = ReplayGripper(self)
-        self.departure = 0.0
-        """rad by which the setpoints have differed most from those of the recording at the same moment."""
+        self._forces = dict(episode.tip_force())
+        self._passed = 0
+        self.recorders: list[Recorder] = []
+        self._target = answers.first.target
         self._connected = False
-        self._begin()
-
-    def _begin(self) -> None:
-        first = self._joints[0]
-        self.time, self._q, self._qd = first.time, first.measured.copy(), np.zeros(6)
-        self.asked = first.opening
 
     def connect(self) -> None:
         self._connected = True
@@ -81,66 +190,70 @@ class ReplayRobot(Connected):
     def close(self) -> None:
         self._connected = False
 
-    @property
-    def ended(self) -> bool:
-        """The clock is past the last recorded moment."""
-        return self.time > self._times[-1]
-
     def state(self) -> RobotState:
-        self._require_connection()
-        return RobotState(self.time, self._q.copy(), self._qd.copy(), self._force(), self._opening())
+        """What was measured when this was asked then."""
+        if not self._connected:
+            raise RobotError("the recording is not connected", "use it as `with ReplayArm(episode, answers) as arm:`")
+        answer = self._answers.take(Ask.MEASURE, self._target)
+        told = self._answers.content(answer)
+        self._pass_on()
+        arm, velocity, force = told.vector("arm", 6), told.vector("velocity", 6), told.vector("force", 3)
+        return RobotState(answer.clock, arm, velocity, force, told.number("opening"))
 
     def servo(self, q: Float[np.ndarray, "6"], opening: float) -> None:
-        self._require_connection()
-        self._qd = (q - self._q) / SERVO_PERIOD
-        self._q, self.asked = np.array(q, dtype=np.float64), opening
-        self.time += SERVO_PERIOD
-        if not self.ended:
-            self.departure = max(self.departure, float(np.abs(self._recorded().sent.arm - q).max()))
+        raise RobotError("a recording takes targets, and no setpoints", "send it targets with `run`")
 
-    def skip_to(self, time: float) -> None:
-        """Let it be that moment (s) now, if it has not come yet."""
-        self.time = max(self.time, time)
+    @property
+    def target(self) -> JointTarget:
+        return self._target
+
+    def run(self, target: JointTarget, duration: float, travel: bool = False) -> None:
+        """The target is compared with the recorded one when something is asked next."""
+        self._raise_if_stopped()
+        self._target = JointTarget(np.array(target.arm, dtype=np.float64), float(target.opening))
+
+    def settle(self, tolerance: float = 2e-3, timeout: float = 3.0) -> bool:
+        self._raise_if_stopped()
+        return True
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
-        self._require_connection()
+        """The arm rests where it came to rest then."""
+        self._raise_if_stopped()
+        self.restart()
 
-    def _row(self) -> int:
-        return max(0, bisect_right(self._times, self.time + 1e-9) - 1)
+    def restart(self) -> None:
+        self._target = self._answers.take(Ask.REST).target
 
-    def _recorded(self) -> Joints:
-        return self._joints[self._row()]
+    def keep_out(self, *obstacles: Obstacle) -> None:
+        """Nothing moves that could touch them."""
 
-    def _opening(self) -> float:
-        # Where nothing stood between the pads, they are where they are asked to be.
-        return max(self.asked, self._recorded().opening) if self._held[self._row()] else self.asked
+    def _raise_if_stopped(self) -> None:
+        if (why := self._answers.stopped()) is not None:
+            raise ProtectiveStopError(why)
 
-    def _force(self) -> np.ndarray:
-        i = bisect_right(self._force_times, self.time + 1e-9) - 1
-        return np.zeros(3) if i < 0 or self.ended else self._forces[i].copy()
+    def _pass_on(self) -> None:
+        """Tell the recorders what was streamed meanwhile."""
+        begin = self._answers.begin
+        while self._passed < len(self._joints) and self._joints[self._passed].time <= self._answers.now:
+            row = self._joints[self._passed]
+            self._passed += 1
+            state, command = _streamed(row, self._forces.get(row.time, np.zeros(3)), begin + row.time)
+            for recorder in self.recorders:
+                recorder(state, command)
 
-    def _require_connection(self) -> None:
-        if not self._connected:
-            raise RobotError("the recording is not connected", "use it as `with ReplayRobot(episode) as robot:`")
 
-
-def held(joints: Sequence[Joints]) -> Bool[np.ndarray, " n"]:
-    """At which of these moments something stood between the pads."""
-    times, opening = np.array([j.time for j in joints]), np.array([j.opening for j in joints])
-    wider = opening > np.array([j.sent.opening for j in joints]) + HELD
-    begins, ends = np.searchsorted(times, times - STILL_S), np.searchsorted(times, times + STILL_S, side="right")
-    still = [np.ptp(opening[begin:end]) < STILL for begin, end in zip(begins, ends, strict=True)]
-    return wider & np.array(still)
+def _streamed(row: Joints, force: np.ndarray, clock: float) -> tuple[RobotState, Command]:
+    state = RobotState(clock, row.measured, row.velocity, force, row.opening)
+    return state, Command(clock, row.requested, row.sent)
 
 
 class ReplayCamera(Connected):
-    """The recorded pictures of one camera, in order."""
+    """The recorded pictures of one camera, as they were asked for."""
 
-    def __init__(self, episode: Episode, name: str, robot: ReplayRobot) -> None:
-        self.name, self._robot, self._where = name, robot, episode.path
-        self._pictures = [p for p in episode.pictures(name) if p.colour is not None and p.depth is not None]
-        self._windows = list(episode.windows(name))
-        self._taken = self._looked = 0
+    def __init__(self, episode: Episode, name: str, answers: Answers, arm: ReplayArm) -> None:
+        self.name, self._answers, self._arm, self._where = name, answers, arm, episode.path
+        self._pictures: Iterator[Picture] = episode.pictures(name)
+        self._windows = episode.windows(name)
 
     def connect(self) -> None:
         pass
@@ -149,51 +262,66 @@ class ReplayCamera(Connected):
         pass
 
     def capture(self) -> CameraFrame:
-        """The next recorded picture. Raises RobotError when there is none left."""
-        if self._taken >= len(self._pictures):
-            raise RobotError(
-                f"{self._where} has only {len(self._pictures)} pictures of camera '{self.name}'",
-                "today's run looks more often than the recorded one did: see what it does otherwise",
-            )
-        picture = self._pictures[self._taken]
-        self._taken += 1
-        self._robot.skip_to(picture.time)
-        return decode(picture)
+        """The picture that was taken here then. Raises Departure, RecordingOverError or EpisodeError."""
+        answer = self._answers.take(Ask.PICTURE, self._arm.target, self.name)
+        moment = self._answers.at
+        picture = next((p for p in self._pictures if p.time == moment), None)
+        if picture is None:
+            raise EpisodeError(f"{self._where}: the picture of camera '{self.name}' of {moment:.3f} s is missing")
+        return decode(picture, answer.clock)
 
     def cut_out(self, window: Window, size: int) -> Cutout:
-        """The next recorded part of a picture, wherever the window is. Raises RobotError when there is none left."""
-        if self._looked >= len(self._windows):
-            raise RobotError(
-                f"{self._where} has only {len(self._windows)} looks through camera '{self.name}' during a skill",
-                "today's run looks more often, or the recorded one had --skills state: give that too",
-            )
-        time, png = self._windows[self._looked]
-        self._looked += 1
-        self._robot.skip_to(time)
+        """The part of a picture that was looked at here then. Raises as `capture`."""
+        answer = self._answers.take(Ask.PART, self._arm.target, self.name)
+        time, png = next(self._windows, (0.0, b""))
         colour = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) if png else None
-        if colour is None or colour.shape != (size, size, 3):
-            raise EpisodeError(
-                f"{self._where}: the look through camera '{self.name}' at {time:.3f} s is not {size} px wide"
+        if colour is None:
+            raise EpisodeError(f"{self._where}: what camera '{self.name}' was asked for after {time:.3f} s is missing")
+        if colour.shape != (size, size, 3):
+            raise Departure(
+                self._answers.now,
+                f"camera '{self.name}' is asked for {size} px, where it was asked for {len(colour)} px",
             )
-        return Cutout(self.name, cv2.cvtColor(colour, cv2.COLOR_BGR2RGB), time)
+        return Cutout(self.name, cv2.cvtColor(colour, cv2.COLOR_BGR2RGB), answer.clock)
 
 
 class ReplayTruth:
-    """The recorded objects at the robot's moment: the simulator's where there was one, else what was believed."""
+    """Where the objects were: as it was told to a skill that follows them, and as it was recorded beside it."""
 
-    def __init__(self, episode: Episode, robot: ReplayRobot) -> None:
-        self._robot = robot
-        self._states = list(episode.truths()) or list(episode.states())
-        if not self._states:
-            raise EpisodeError(f"{episode.path} holds no states of objects", "record one with resync-robot deploy")
+    def __init__(self, episode: Episode, answers: Answers, arm: ReplayArm) -> None:
+        self._answers, self._arm = answers, arm
+        self._states = list(episode.truths())
         self._times = [t for t, _ in self._states]
 
-    def __call__(self) -> State:
-        return self._states[max(0, bisect_right(self._times, self._robot.time + 1e-9) - 1)][1]
+    @property
+    def known(self) -> bool:
+        """A simulator was there to ask."""
+        return bool(self._states)
+
+    def told(self) -> State:
+        """What the executive was told when it asked this then."""
+        return self._answers.content(self._answers.take(Ask.TRUTH, self._arm.target)).state("objects")
+
+    def recorded(self) -> State:
+        """What was recorded last before this moment."""
+        row = bisect_right(self._times, self._answers.now + 1e-9) - 1
+        return self._states[max(0, row)][1]
 
 
-def decode(picture: Picture) -> CameraFrame:
-    """A recorded picture as a camera gives it. Raises EpisodeError where its bytes are no picture."""
+def replay_ready(answers: Answers) -> Callable[[Future[Any]], bool]:
+    """`core.world.Ready` as it was then, however fast the policy thinks today."""
+
+    def ready(thought: Future[Any]) -> bool:
+        done = answers.content(answers.take(Ask.THOUGHT)).flag("done")
+        if done:
+            thought.exception()
+        return done
+
+    return ready
+
+
+def decode(picture: Picture, clock: float) -> CameraFrame:
+    """A recorded picture as the camera gave it at `clock`. Raises EpisodeError where its bytes are no picture."""
     colour = depth = None
     if picture.colour is not None and picture.depth is not None:
         colour = cv2.imdecode(np.frombuffer(picture.colour, np.uint8), cv2.IMREAD_COLOR)
@@ -201,6 +329,5 @@ def decode(picture: Picture) -> CameraFrame:
     if colour is None or depth is None or depth.dtype != np.uint16 or depth.shape != colour.shape[:2]:
         raise EpisodeError(f"the picture of camera '{picture.camera}' at {picture.time:.3f} s cannot be decoded")
     return CameraFrame(
-        picture.camera, cv2.cvtColor(colour, cv2.COLOR_BGR2RGB), depth, picture.intrinsics, picture.world_T_cam,
-        picture.time,
-    )  # fmt: skip
+        picture.camera, cv2.cvtColor(colour, cv2.COLOR_BGR2RGB), depth, picture.intrinsics, picture.world_T_cam, clock
+    )

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float
 
-from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Window
 from resync_robot.hardware.base import SERVO_PERIOD, Connected, GripperState, RobotError, RobotState
 
 DETECTED = 2e-3
@@ -47,6 +47,10 @@ class Physics(Protocol):
 
     def render_window(self, camera: str, window: Window, size: int, error: Float[np.ndarray, "4 4"]) -> Cutout:
         """A part of its picture, from `error` beside where it stands, in the camera's own axes."""
+        ...
+
+    def render_colour(self, camera: str) -> Glimpse:
+        """The colours of a picture from it."""
         ...
 
 
@@ -147,3 +151,6 @@ class SimCamera(Connected):
 
     def cut_out(self, window: Window, size: int, error: Float[np.ndarray, "4 4"] | None = None) -> Cutout:
         return self._physics.render_window(self._name, window, size, np.eye(4) if error is None else error)
+
+    def glimpse(self) -> Glimpse:
+        return self._physics.render_colour(self._name)

@@ -16,7 +16,6 @@ rig's 12 and 500, and at 20 and 1500.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,9 +29,9 @@ from resync_robot.hardware.base import (
     SERVO_PERIOD,
     Command,
     RealtimeRobot,
+    Recorder,
     Robot,
     RobotError,
-    RobotState,
     SafetyError,
     StarvedError,
 )
@@ -64,8 +63,6 @@ FALLING = 0.99
 """Share of its excess speed that a target must fall below when it is given more time, to be given still more."""
 STILL = 0.02
 """rad/s below which a settled joint counts as at rest."""
-
-Recorder = Callable[[RobotState, Command], None]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from resync_robot.core.joints import JointTarget
-from resync_robot.hardware.stream import Stream
+from resync_robot.hardware.base import Motions
 
 TRAVEL_SPEED = 1.0
 """rad/s of the fastest joint."""
@@ -16,7 +16,7 @@ TARGET_PERIOD = 0.02
 """s between two targets."""
 
 
-def travel(stream: Stream, q: Float[np.ndarray, "6"], speed: float = TRAVEL_SPEED) -> None:
+def travel(stream: Motions, q: Float[np.ndarray, "6"], speed: float = TRAVEL_SPEED) -> None:
     """Bring the arm to (6,) joint positions in rad at `speed` rad/s of the fastest joint, and let it come to rest.
 
     Raises:

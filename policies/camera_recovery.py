@@ -21,7 +21,7 @@ from resync_robot.core.skill import Ending, Outcome, Skill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
-from resync_robot.core.world import Cutout, Observation
+from resync_robot.core.world import Cutout, Observation, Ready
 from resync_robot.learning.camera_view import (
     DONE_IN_A_ROW,
     LEAN,
@@ -161,10 +161,10 @@ def _drive(
             thinking.ask(*_observe(hand, goal, scanned, rig, policy.picture, watch))
         if not (yield from press_on(hand, goal, DECISION_STEPS, footing)):
             # What was wanted, and what is being thought, is of a block that stood.
-            thinking.answer(wait=True)
+            thinking.answer(hand.last.ready, wait=True)
             chunks, astray = Chunks(), True
             continue
-        answer = thinking.answer(wait=not hand.last.realtime or not chunks.left)
+        answer = thinking.answer(hand.last.ready, wait=not chunks.left)
         if answer is not None:
             prediction, late = answer
             watch.prediction(prediction)
@@ -205,11 +205,11 @@ class _Thinking:
     def ask(self, pictures: np.ndarray, state: np.ndarray) -> None:
         self._future, self._steps = self._thread.submit(self._policy, pictures[None], state[None]), 0
 
-    def answer(self, wait: bool) -> tuple[Prediction, int] | None:
+    def answer(self, ready: Ready, wait: bool) -> tuple[Prediction, int] | None:
         """The prediction, and by how many control steps it is late; None while the policy still thinks."""
         if self._future is None:
             return None
-        if not wait and not self._future.done():
+        if not wait and not ready(self._future):
             self._steps += 1
             return None
         found, self._future = self._future.result(), None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,12 +18,12 @@ from resync_robot.core.errors import ConfigError
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
-from resync_robot.core.world import CameraFrame, Cutout, Window
-from resync_robot.hardware.base import Camera, Halt, Robot
+from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Ready, Window, awaited
+from resync_robot.hardware.base import Camera, FilmedCamera, Halt, Motions, Robot
 from resync_robot.hardware.emulator.camera import EmulatedCamera
 from resync_robot.hardware.emulator.lab import LabClient
 from resync_robot.hardware.realsense import RealSense
-from resync_robot.hardware.replay import ReplayCamera, ReplayRobot, ReplayTruth
+from resync_robot.hardware.replay import Answers, ReplayArm, ReplayCamera, ReplayTruth, replay_ready
 from resync_robot.hardware.robotiq import Robotiq
 from resync_robot.hardware.sim import SimCamera, SimRobot
 from resync_robot.hardware.ur7e import Ur7e, require_controller
@@ -34,30 +35,57 @@ from resync_robot.sim_training.world import SimWorld
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
+FILM_HZ = 10.0
+"""Of cameras that stream anyway."""
+RENDERED_FILM_HZ = 2.0
+"""Of cameras each of whose pictures has to be rendered."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Devices:
     """An opened backend.
 
     Attributes:
         clock: s on the robot's clock now.
         truth: the simulator's own state, for scoring and for labelled use only; None at a real robot.
+        live: the same, where a skill asks for it that follows the objects; None at a real robot.
         resume: what to do once a person has acknowledged a protective stop; None where there are none.
         halt: lets go of the robot, and says what is then known of it; None where nothing moves by itself.
+        stream: what feeds the robot, where that is no `Stream` over it.
+        ready: whether what a skill thinks beside the motion is finished.
+        film: what each camera sees by the way.
+        film_hz: how often that may be asked without holding up anything.
     """
 
     robot: Robot
     cameras: dict[str, Camera]
     clock: Callable[[], float]
     truth: Callable[[], State] | None
+    live: Callable[[], State] | None = None
     resume: Callable[[], None] | None = None
     halt: Callable[[], Halt | None] | None = None
+    stream: Motions | None = None
+    ready: Ready = awaited
+    film: tuple[Callable[[], Glimpse], ...] = ()
+    film_hz: float = FILM_HZ
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SimulatedDevices(Devices):
     """Those of a simulator, which always knows the truth."""
 
     truth: Callable[[], State]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayedDevices(Devices):
+    """Those of a recording.
+
+    Attributes:
+        answers: what was told then, and how much of it has been told again.
+    """
+
+    answers: Answers
 
 
 class NoisyCamera:
@@ -87,7 +115,11 @@ class NoisyCamera:
         # Here the camera stands off its believed place, there the belief is off: for what is seen it is the same.
         error = spatial.inverse(self._sensor.pose_error())
         seen = self._camera.cut_out(window, size, error)
-        return replace(seen, colour=self._sensor.colour(seen.colour))
+        return replace(seen, colour=self._sensor.colour(seen.colour, seen.time))
+
+    def glimpse(self) -> Glimpse:
+        seen = self._camera.glimpse()
+        return replace(seen, colour=self._sensor.glimpse(seen.colour, seen.time))
 
     def __enter__(self) -> NoisyCamera:
         self.connect()
@@ -97,25 +129,36 @@ class NoisyCamera:
         self.close()
 
 
-def open_replay(episode: Episode) -> AbstractContextManager[Devices]:
+def open_replay(episode: Episode) -> AbstractContextManager[ReplayedDevices]:
     """A recorded episode in place of a robot. Raises EpisodeError where it holds too little."""
     return _Replay(episode)
 
 
-class _Replay(AbstractContextManager[Devices]):
+class _Replay(AbstractContextManager[ReplayedDevices]):
     def __init__(self, episode: Episode) -> None:
-        self._episode, self._robot = episode, ReplayRobot(episode)
-        self._truth = ReplayTruth(episode, self._robot)
+        self._episode, self._answers = episode, Answers(episode)
+        self._arm = ReplayArm(episode, self._answers)
+        self._truth = ReplayTruth(episode, self._answers, self._arm)
 
-    def __enter__(self) -> Devices:
-        self._robot.connect()
-        names = {*self._episode.cameras, "wrist"}
-        cameras: dict[str, Camera] = {name: ReplayCamera(self._episode, name, self._robot) for name in sorted(names)}
-        return Devices(self._robot, cameras, lambda: self._robot.time, self._truth)
+    def __enter__(self) -> ReplayedDevices:
+        self._arm.connect()
+        answers, truth = self._answers, self._truth
+        names = sorted({*self._episode.cameras, "wrist"})
+        return ReplayedDevices(
+            robot=self._arm,
+            cameras={name: ReplayCamera(self._episode, name, answers, self._arm) for name in names},
+            clock=lambda: answers.clock,
+            truth=truth.recorded if truth.known else None,
+            live=truth.told,
+            # Whoever acknowledged a stop did so then.
+            resume=lambda: None,
+            stream=self._arm,
+            ready=replay_ready(answers),
+            answers=answers,
+        )
 
     def __exit__(self, *error: object) -> None:
-        self._robot.close()
-        _log.info("setpoints departed from the recording's by up to %.4f rad", self._robot.departure)
+        self._arm.close()
 
 
 def open_simulated(task: Task, rig: Rig) -> AbstractContextManager[SimulatedDevices]:
@@ -189,10 +232,25 @@ class _Ur7eLab(AbstractContextManager[Devices]):
             for camera in self._cameras:
                 pose = partial(_pose_now, rig, camera, robot)
                 cameras[camera.name] = self._stack.enter_context(RealSense(camera, pose, clock=robot.clock))
-        return Devices(robot, cameras, robot.clock, truth, robot.acknowledge_stop, robot.halt)
+        return Devices(
+            robot=robot,
+            cameras=cameras,
+            clock=robot.clock,
+            truth=truth,
+            live=truth,
+            resume=robot.acknowledge_stop,
+            halt=robot.halt,
+            ready=Future.done,
+            film=_films(cameras),
+            film_hz=RENDERED_FILM_HZ if controller.emulated else FILM_HZ,
+        )
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
+
+
+def _films(cameras: Mapping[str, Camera]) -> tuple[Callable[[], Glimpse], ...]:
+    return tuple(camera.glimpse for camera in cameras.values() if isinstance(camera, FilmedCamera))
 
 
 def _pose_now(rig: Rig, camera: CameraRig, robot: Robot) -> np.ndarray:
@@ -210,10 +268,19 @@ class _Simulated(AbstractContextManager[SimulatedDevices]):
         robot = self._stack.enter_context(SimRobot(world))
         cameras: dict[str, Camera] = {}
         for i, camera in enumerate(self._rig.cameras):
-            sensor = NoisySensor(self._task.seed * 10 + i, camera, tone=Tone.of(self._task.physics))
+            tone = Tone.of(self._task.physics)
+            sensor = NoisySensor(self._task.seed * 10 + i, camera, tone=tone, steady=True)
             device = NoisyCamera(SimCamera(world, camera.name), sensor, partial(self._motion, world, camera.name))
             cameras[camera.name] = self._stack.enter_context(device)
-        return SimulatedDevices(robot, cameras, lambda: world.time, world.perceive)
+        return SimulatedDevices(
+            robot=robot,
+            cameras=cameras,
+            clock=lambda: world.time,
+            truth=world.perceive,
+            live=world.perceive,
+            film=_films(cameras),
+            film_hz=RENDERED_FILM_HZ,
+        )
 
     def _motion(self, world: SimWorld, camera: str) -> Motion | None:
         q, qd, _, _ = world.measure()

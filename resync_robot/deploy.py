@@ -8,6 +8,9 @@ from resync_robot.core.errors import ConfigError
 from resync_robot.deploy_settings import DeployConfig
 from resync_robot.plan_files import check_plan_files, write_plan_files
 
+MOST_FILM_HZ = 30.0
+"""As fast as the cameras stream."""
+
 if TYPE_CHECKING:
     from resync_robot.core.episode import Episode
     from resync_robot.core.rig import Rig
@@ -19,13 +22,15 @@ def deploy(config: DeployConfig) -> int:
     """Run the episodes of `config`, each recorded whether it succeeds or not.
 
     Returns:
-        0 when every episode reached its goal, or was planned in a dry run, and was recorded whole, else 3; 3 as well
-        where nobody knows whether the robot has stopped.
+        0 when every episode reached its goal, or was planned in a dry run, or went as recorded in a replay, and was
+        recorded whole, else 3; 3 as well where nobody knows whether the robot has stopped.
 
     Raises:
         ResyncError: bad input, or a machine that cannot be used.
         KeyboardInterrupt: somebody ended it; the episode's recording is whole, and has been named.
     """
+    from dataclasses import replace
+
     from resync_robot.core.library import load_library
     from resync_robot.core.options import MOST_EPISODES, check_range, check_seed
     from resync_robot.core.rig import load_rig
@@ -35,28 +40,34 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.learning.camera_view import VIEWS
     from resync_robot.planning.suppose import check_goal
     from resync_robot.progress import say
+    from resync_robot.replayed_episode import as_recorded, check_rig, recorded_task
     from resync_robot.run_folder import check_folder, default_folder
     from resync_robot.signals import held
     from resync_robot.sim_training.domains import find_domain
     from resync_robot.sources import deployed_by_camera
 
     check_range("--episodes", config.episodes, 1, MOST_EPISODES)
+    check_range("--record-pictures", config.record_pictures or 0.0, 0.0, MOST_FILM_HZ)
     check_seed(config.seed)
+    recording = _recording(config)
+    config = config if recording is None else as_recorded(config, recording)
     check_plan_files(config)
     domain, rig = find_domain(config.domain), load_rig(config.rig)
     if config.backend == "ur7e":
         _check_rig(config, rig)
-    domain.scenario(config.scenario)
+    if recording is None:
+        domain.scenario(config.scenario)
+    else:
+        check_rig(recording, rig)
     library = load_library(config.library or shipped_library(domain.name))
     by_camera = deployed_by_camera(config, domain, rig, library)
     segmenter = _segmenter(config, rig)
     model = learned_model(domain, rig, library, camera_recovery(domain, rig, library) if by_camera else None)
-    recording = _recording(config)
     if recording is None:
         tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
     else:
-        tasks = [_recorded_task(recording, domain)]
-    if config.goal is not None:
+        tasks = [recorded_task(recording, domain)]
+    if config.goal is not None and recording is None:
         for task in tasks:
             # A goal out of reach is a mistake of whoever typed it: said at once, before anything moves.
             atoms = model.abstraction.true_atoms(task.initial)
@@ -79,7 +90,8 @@ def deploy(config: DeployConfig) -> int:
             f"  -> resync-robot calibrate check --rig {config.rig or 'rig.toml'}; for a camera that never was: "
             "calibrate hand-eye --camera NAME"
         )
-    simulated = config.backend == "sim" or (rig.controller is not None and rig.controller.emulated)
+    backend = config.backend if recording is None else recording.meta.backend
+    simulated = backend == "sim" or (rig.controller is not None and rig.controller.emulated)
     if rig.controller is not None and not rig.controller.full_speed:
         say(
             "The tip moves at 250 mm/s at most, until [controller] full_speed = true says that somebody has watched a "
@@ -98,6 +110,7 @@ def deploy(config: DeployConfig) -> int:
             f"{domain.recovery} follows its block through the simulator's state while it runs; "
             "everything else is estimated."
         )
+    config = replace(config, skills="camera" if by_camera else "state")
     good = 0
     for i, (task, path) in enumerate(zip(tasks, paths, strict=True)):
         # Whoever ends the program meanwhile waits until the robot is let go and the recording closed and named.
@@ -121,6 +134,8 @@ def deploy(config: DeployConfig) -> int:
                 say(f"The other {len(tasks) - i - 1} episodes are not begun: {ends}.")
             break
     done = "were planned" if config.dry_run else "reached the goal"
+    if recording is not None:
+        done = "went as recorded"
     review = f" Review:  resync-robot review {path}" if path.exists() else ""
     say(f"{good} of {len(tasks)} episodes {done}.{review}")
     return 0 if good == len(tasks) and outcome.halt is not Halt.UNKNOWN and outcome.recorded else 3
@@ -180,20 +195,6 @@ def _recording(config: DeployConfig) -> Episode | None:
             f"has only what comes before the first that is missing: {recording.duration:.1f} s."
         )
     return recording
-
-
-def _recorded_task(recording: Episode, domain: Domain) -> Task:
-    """The recorded episode's objects and goal. Raises ConfigError or EpisodeError."""
-    from resync_robot.core.errors import EpisodeError
-    from resync_robot.core.task import Task
-
-    if recording.meta.domain != domain.name:
-        raise ConfigError(f"{recording.path} is of the domain '{recording.meta.domain}'", "name it with --domain")
-    initial = next(iter(recording.truths()), None) or next(iter(recording.states()), None)
-    if initial is None:
-        raise EpisodeError(f"{recording.path} holds no states of objects", "record one with resync-robot deploy")
-    objects = initial[1].objects
-    return Task(objects, initial[1], domain.parse_goal(recording.meta.goal, objects), {}, recording.meta.seed)
 
 
 def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:

@@ -23,7 +23,8 @@ class DeployConfig:
     """The domain whose objects and skills are used."""
 
     replay: Given[Path] = None
-    """The recording that --backend replay runs over: the same executive, fed with what was recorded."""
+    """The recording that --backend replay runs over: the same executive, told what was measured and seen then.
+    Scenario, goal, seed, and how it was perceived are those of the recording."""
 
     scenario: str = "s1"
     """Where the objects of a simulated episode lie, and the goal unless --goal is given."""
@@ -56,6 +57,10 @@ class DeployConfig:
 
     confirm: bool = False
     """Ask before each step of the plan."""
+
+    record_pictures: Given[float] = None
+    """How often the recording films what each camera sees while the arm moves, Hz; 0: not at all. Default: 10 where
+    cameras stream, 2 where every picture has to be rendered."""
 
     out: Given[Path] = None
     """Folder of the recordings. Default: runs/DATE-deploy."""

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from resync_robot.hardware.base import Halt, ProtectiveStopError
     from resync_robot.perception.segment import Segmenter
     from resync_robot.planning.execute import End, Model, Result
+    from resync_robot.replayed_episode import Replayed
 
 
 BEWARE = "keep away from the robot or press its emergency stop; then look at it, the cable and the controller"
@@ -38,6 +39,7 @@ class EpisodeOutcome:
         recorded: the recording is whole; where it is not, the reason was logged when it happened.
         error: what ends the program with the episode.
         fix: what to do about it.
+        replayed: of a replay, how it went.
     """
 
     result: Result
@@ -47,6 +49,7 @@ class EpisodeOutcome:
     recorded: bool
     error: BaseException | None = None
     fix: str = ""
+    replayed: Replayed | None = None
 
     def kept(self, path: Path) -> str:
         """What there is of the recording, for people."""
@@ -59,6 +62,8 @@ class EpisodeOutcome:
         """It came to what it was to come to."""
         from resync_robot.planning.execute import End
 
+        if self.replayed is not None:
+            return self.replayed.same
         return self.reached or self.result.end is End.PLANNED
 
     @property
@@ -68,6 +73,8 @@ class EpisodeOutcome:
         from resync_robot.planning.execute import End
 
         end, reason = self.result.end, self.result.reason
+        if self.replayed is not None:
+            return self.replayed.verdict
         if self.reached:
             words = "goal reached"
         elif end is End.GOAL:
@@ -94,20 +101,22 @@ def run_episode(
 ) -> EpisodeOutcome:
     """Run one episode to whatever end; the robot is let go and the recording closed then."""
     from resync_robot import __version__
-    from resync_robot.backends import Layout, open_replay, open_simulated, open_ur7e
+    from resync_robot.backends import Layout, ReplayedDevices, open_replay, open_simulated, open_ur7e
     from resync_robot.core.episode import EpisodeMeta, EventKind
     from resync_robot.core.episode_writer import EpisodeWriter
     from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
     from resync_robot.doubt import doubting
     from resync_robot.hardware.base import Halt, RealtimeRobot, RobotError
+    from resync_robot.hardware.replay import Departure, RecordingOverError
     from resync_robot.planning.execute import End, ExecuteSettings, Result, begin_after, plan_f
     from resync_robot.progress import say
     from resync_robot.recorder import Recorder
+    from resync_robot.replayed_episode import ReplayRecorder, judge, settings_of
     from resync_robot.signals import let_through
     from resync_robot.sim_training.domains import find_domain
 
-    scenario = find_domain(config.domain).scenarios.get(recording.meta.scenario if recording else config.scenario)
+    scenario = find_domain(config.domain).scenarios.get(config.scenario)
     before = scenario.begins_after if scenario else ()
     goal = ", ".join(map(str, sorted(task.goal)))
     meta = EpisodeMeta.of(
@@ -119,6 +128,8 @@ def run_episode(
         seed=task.seed,
         backend=config.backend,
         versions={"resync-robot": __version__},
+        objects={o.name: o.type.name for o in task.objects},
+        settings=settings_of(config),
     )
     if config.backend == "sim":
         opened: AbstractContextManager[Devices] = open_simulated(task, rig)
@@ -131,12 +142,13 @@ def run_episode(
         with let_through():
             devices = stack.enter_context(opened)
         writer = stack.enter_context(EpisodeWriter(path, _dated(meta), devices.clock()))
-        standing = [devices.cameras[c.name] for c in rig.cameras if c.mount == "world"] if recording is None else []
-        recorder = Recorder(
+        film_hz = devices.film_hz if config.record_pictures is None else config.record_pictures
+        recorder = (Recorder if recording is None else ReplayRecorder)(
             writer,
             devices.clock,
             devices.truth,
-            [camera.capture for camera in standing],
+            devices.film if film_hz else (),
+            film_hz or 1.0,
             live=isinstance(devices.robot, RealtimeRobot),
             confirm=lambda step: not config.confirm or _may_run(str(step)),
             tell=say,
@@ -145,13 +157,15 @@ def run_episode(
 
         def on_stop(error: ProtectiveStopError) -> None:
             writer.event(devices.clock(), EventKind.STOP, error.what)
-            if devices.resume is None or not _acknowledged(error):
+            if devices.resume is None or not (recording is not None or _acknowledged(error)):
                 raise error
             devices.resume()
 
         model = doubting(model)
         say(f"Goal: {goal}")
-        reached, ending, fix = False, None, ""
+        reached, ending, fix, broken_off = False, None, "", None
+        if recording is not None and isinstance(recorder, ReplayRecorder) and isinstance(devices, ReplayedDevices):
+            recorder.compare_with(recording, devices.answers)
         try:
             with let_through():
                 world = kind(
@@ -159,11 +173,13 @@ def run_episode(
                     devices.cameras,
                     rig,
                     task.objects,
-                    live_state=devices.truth,
+                    live_state=devices.live,
                     witness=recorder,
                     on_stop=on_stop,
                     abstraction=model.abstraction,
                     segmenter=segmenter,
+                    stream=devices.stream,
+                    ready=devices.ready,
                 )
                 world.stream.recorders.append(recorder.on_stream)
                 steps = [f"{name}({', '.join(of)})" for name, of in before]
@@ -179,17 +195,21 @@ def run_episode(
         except BaseException as error:
             result = Result(*_end(error), (), (), task.initial)
             recorder.on_end(result.end, result.reason)
+            broken_off = error
             # The trouble of one episode is recorded with it, and leaves the others their turn.
             if isinstance(error, PerceptionError | MotionError | RobotError):
                 fix = error.fix
-            else:
+            elif not isinstance(error, Departure | RecordingOverError):
                 ending = error
         recorder.let_go()
         halt = None if devices.halt is None else devices.halt()
         if halt is not None:
             recorder.on_halt(halt)
+        replayed = None
+        if recording is not None and isinstance(devices, ReplayedDevices):
+            replayed = judge(recording, devices.answers, result.end, result.reason, broken_off)
     fix = BEWARE if halt is Halt.UNKNOWN else fix
-    return EpisodeOutcome(result, reached, recorder.skills, halt, writer.error is None, ending, fix)
+    return EpisodeOutcome(result, reached, recorder.skills, halt, writer.error is None, ending, fix, replayed)
 
 
 def _dated(meta: EpisodeMeta) -> EpisodeMeta:

@@ -6,22 +6,23 @@ Simulated or real, this is the same code; the robot and the cameras behind it ar
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from resync_robot.core import spatial
-from resync_robot.core.episode import Timing
+from resync_robot.core.episode import Answer, Ask, Timing
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Object
 from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID, ROBOT
-from resync_robot.core.world import CameraFrame, Cutout, Observation, Window
+from resync_robot.core.world import CameraFrame, Cutout, Observation, Ready, Window, awaited
 from resync_robot.doubt import DoubtingAbstraction, objects_in
-from resync_robot.hardware.base import Camera, ProtectiveStopError, RealtimeRobot, Robot, WindowedCamera
+from resync_robot.hardware.base import Camera, Motions, ProtectiveStopError, Robot, RobotState, WindowedCamera
 from resync_robot.hardware.clearance import Obstacle
 from resync_robot.hardware.stream import Stream
 from resync_robot.hardware.travel import travel
@@ -47,8 +48,16 @@ SAME_SIGHT = 0.05
 class Witness(Protocol):
     """Is told of what a deployed robot sees and sends, such as a recording."""
 
+    def on_answer(self, answer: Answer) -> None:
+        """Whatever the executive is told of the world, in the order in which it asks."""
+        ...
+
+    def on_picture(self, frame: CameraFrame) -> None:
+        """A picture that was asked for, of a scan."""
+        ...
+
     def on_scan(self, frames: Sequence[CameraFrame], state: State) -> None:
-        """The pictures of a scan, and the estimate from them."""
+        """The pictures of a scan, all of them told of before, and the estimate from them."""
         ...
 
     def on_look(self, part: Cutout) -> None:
@@ -78,6 +87,8 @@ class DeployedWorld:
         witness: told of what is seen and sent.
         abstraction: says which atoms hang on poses that are not known well; their objects are looked at again.
         segmenter: finds the blocks in pictures; by colour unless given.
+        stream: what feeds the robot; a `Stream` of its own unless given.
+        ready: whether what a skill thinks beside the motion is finished; it is waited for unless given.
         on_stop: called when the robot has made a protective stop; it asks a person, and returns when the robot may
             go on, or raises. Without it a protective stop ends the episode.
     """
@@ -93,11 +104,14 @@ class DeployedWorld:
         on_stop: Callable[[ProtectiveStopError], None] | None = None,
         abstraction: DoubtingAbstraction | None = None,
         segmenter: Segmenter | None = None,
+        stream: Motions | None = None,
+        ready: Ready = awaited,
     ) -> None:
         self._live_state, self._witness, self._on_stop, self._abstraction = live_state, witness, on_stop, abstraction
+        self._ready, self._now = ready, 0.0
         self._looked: list[float] = []
         self.robot, self.rig, self._cameras = robot, rig, cameras
-        self.stream = Stream(robot, rig)
+        self.stream: Motions = Stream(robot, rig) if stream is None else stream
         self.scan = Scan(rig)
         self._robot_object = next(o for o in objects if o.type == ROBOT)
         self._box = next(o for o in objects if o.type == BOX)
@@ -112,7 +126,7 @@ class DeployedWorld:
         self._tip_T_flange = spatial.inverse(rig.gripper.flange_T_tip)
 
     def observe(self, live: bool = False) -> Observation:
-        measured = self.robot.state()
+        measured = self._measure()
         features = self.rig.robot_features(measured.q, measured.opening)
         if live:
             if self._live_state is None:
@@ -120,7 +134,7 @@ class DeployedWorld:
                     "this skill follows the objects while it moves, and no camera here tracks them",
                     "use --backend sim, or a library with a camera policy",
                 )
-            state = self._live_state()
+            state = self._live(self._live_state)
         else:
             state = self.belief.state(features)
         return Observation(
@@ -132,8 +146,39 @@ class DeployedWorld:
             measured.tip_force,
             state,
             look=self._look,
-            realtime=isinstance(self.robot, RealtimeRobot),
+            ready=self._thought_out,
         )
+
+    def _tell(self, ask: Ask, clock: float | None = None, **details: Any) -> None:
+        """Tell the witness what the executive was told, of `clock` (s on the robot's clock) or of the latest moment."""
+        clock = self._now if clock is None else clock
+        self._now = max(self._now, clock)
+        if self._witness:
+            self._witness.on_answer(Answer(ask, clock, self.stream.target, details))
+
+    def _measure(self) -> RobotState:
+        s = self.robot.state()
+        self._tell(Ask.MEASURE, s.time, arm=s.q, velocity=s.qd, force=s.tip_force, opening=s.opening)
+        return s
+
+    def _live(self, live_state: Callable[[], State]) -> State:
+        state = live_state()
+        if self._witness:
+            self._tell(Ask.TRUTH, objects=state.to_json())
+        return state
+
+    def _thought_out(self, thought: Future[Any]) -> bool:
+        done = self._ready(thought)
+        self._tell(Ask.THOUGHT, done=done)
+        return done
+
+    def _capture(self) -> CameraFrame:
+        """A picture of the camera that scans."""
+        frame = self._cameras[WRIST].capture()
+        self._tell(Ask.PICTURE, frame.time, camera=frame.name)
+        if self._witness:
+            self._witness.on_picture(frame)
+        return frame
 
     def _look(self, name: str, window: Window, size: int) -> Cutout:
         """What a camera sees now, for a skill that looks while it moves."""
@@ -145,6 +190,7 @@ class DeployedWorld:
         else:
             seen = cut_out(camera.capture(), self.rig.camera(name), window, size)
         self._looked.append(seen.time)
+        self._tell(Ask.PART, seen.time, camera=name)
         if self._witness:
             self._witness.on_look(seen)
         return seen
@@ -161,18 +207,24 @@ class DeployedWorld:
 
     def _resume(self, error: ProtectiveStopError) -> None:
         """Have the stop acknowledged, and begin again where the arm is measured. Raises it where nobody can."""
+        self._tell(Ask.STOP, reason=error.what)
         if self._on_stop is None:
             raise error
         self._on_stop(error)
         self.stream.restart()
+        self._tell(Ask.REST)
 
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
         try:
-            self.stream.limit_effort(limit)
+            self._limit_effort(limit)
         except ProtectiveStopError as error:
             self._resume(error)
             if limit is not None:
-                self.stream.limit_effort(limit)
+                self._limit_effort(limit)
+
+    def _limit_effort(self, limit: tuple[float, ...] | None) -> None:
+        self.stream.limit_effort(limit)
+        self._tell(Ask.REST)
 
     def perceive(self) -> State:
         """Scan, unless the only news since the last look is that the hand closed on a block it had seen, alone."""
@@ -191,12 +243,11 @@ class DeployedWorld:
     def _look_around(self) -> State:
         """A round of pictures, then more of what is in doubt; all of them together make the estimate."""
         self._lift()
-        capture = self._cameras[WRIST].capture
-        frames = self.scan(self._travel, capture)
+        frames = self.scan(self._travel, self._capture)
         looks = 1
         state, error = self._take_in(frames)
         while looks <= MORE_LOOKS and (again := self._where_to_look(state, error)):
-            frames += self.scan(self._travel, capture, again)
+            frames += self.scan(self._travel, self._capture, again)
             looks += 1
             state, error = self._take_in(frames, again=True)
         self.scans += 1
@@ -238,7 +289,7 @@ class DeployedWorld:
         return configurations
 
     def _features(self) -> np.ndarray:
-        measured = self.robot.state()
+        measured = self._measure()
         return self.rig.robot_features(measured.q, measured.opening)
 
     def _lift(self) -> None:
@@ -265,7 +316,8 @@ class OracleWorld(DeployedWorld):
     def perceive(self) -> State:
         if self._live_state is None:
             raise PerceptionError("there is no simulator to ask for poses", "use --perception camera")
-        return self._live_state()
+        self._measure()
+        return self._live(self._live_state)
 
     def observe(self, live: bool = False) -> Observation:
         return super().observe(live=True)

@@ -209,9 +209,13 @@ def _capsule(end: np.ndarray, radius: float) -> rr.Capsules3D:
 
 
 def _draw_cameras(episode: Episode, recording: rr.RecordingStream) -> None:
+    _draw_standing_cameras(episode, recording)
     for name in episode.cameras:
+        entity = f"world/cameras/{name}"
+        for time, jpeg in episode.film(name):
+            recording.set_time("time", duration=time)
+            recording.log(f"{entity}/colour", _encoded(jpeg))
         for picture in episode.pictures(name):
-            entity = f"world/cameras/{name}"
             recording.set_time("time", duration=picture.time)
             recording.log(entity, _pose(picture.world_T_cam))
             pinhole = rr.Pinhole(
@@ -220,11 +224,30 @@ def _draw_cameras(episode: Episode, recording: rr.RecordingStream) -> None:
             )  # fmt: skip
             recording.log(entity, pinhole)
             if picture.colour:
-                recording.log(f"{entity}/colour", rr.EncodedImage(contents=picture.colour, media_type="image/jpeg"))
+                recording.log(f"{entity}/colour", _encoded(picture.colour))
             depth = _decode(picture.depth)
             if depth is not None:
                 meter = round(1.0 / CameraFrame.DEPTH_UNIT_M)
                 recording.log(f"{entity}/depth", rr.DepthImage(depth, meter=meter))
+
+
+def _draw_standing_cameras(episode: Episode, recording: rr.RecordingStream) -> None:
+    """Those in the world, where the rig has them: of what is only filmed no picture says it."""
+    recording.set_time("time", duration=0.0)
+    for camera in episode.meta.rig.get("cameras", ()):
+        if camera["mount"] != "world" or camera["name"] not in episode.cameras:
+            continue
+        entity = f"world/cameras/{camera['name']}"
+        recording.log(entity, _pose(np.array(camera["pose"])))
+        pinhole = rr.Pinhole(
+            focal_length=[camera["fx"], camera["fy"]], principal_point=[camera["cx"], camera["cy"]],
+            resolution=[camera["width"], camera["height"]], camera_xyz=rr.ViewCoordinates.RDF, image_plane_distance=0.1,
+        )  # fmt: skip
+        recording.log(entity, pinhole)
+
+
+def _encoded(picture: bytes) -> rr.EncodedImage:
+    return rr.EncodedImage(contents=picture, media_type="image/png" if picture.startswith(b"\x89PNG") else "image/jpeg")
 
 
 def _decode(png: bytes | None) -> np.ndarray | None:

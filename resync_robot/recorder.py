@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import cv2
 import numpy as np
 
-from resync_robot.core.episode import EventKind, Timing
+from resync_robot.core.episode import Answer, EventKind, Timing
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ResyncError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import GroundSkill, Outcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, GroundOperator
-from resync_robot.core.world import CameraFrame, Cutout, Observation
+from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Observation
 from resync_robot.hardware.base import Command, Halt, RobotState
 from resync_robot.planning.execute import End, Listener
 from resync_robot.planning.search import Plan
 
 _log = logging.getLogger(__name__)
 CLOUD_POINTS = 6000
+TRUTH_EVERY = 1.0
+"""s between two moments at which a simulator is asked where everything is."""
+JPEG_QUALITY = 80
+"""Of films, which people look at."""
 
 
 class Recorder(Listener):
@@ -30,7 +35,9 @@ class Recorder(Listener):
     Args:
         clock: seconds on the robot's clock now.
         truth: the simulator's own state, recorded under that name for comparison; None on a real robot.
-        cameras: each takes a picture to keep once every `look_every` seconds: those that stand around.
+        cameras: what each sees is filmed while the arm moves. Nobody who asks a camera for a picture gets another one
+            for it, and a replay needs none of this.
+        film_hz: how often.
         live: time goes on by itself, so `cameras` and `truth` are asked on the recording's thread, beside the stream;
             not while it is still busy with the time before.
         confirm: asked before each step.
@@ -42,14 +49,15 @@ class Recorder(Listener):
         writer: EpisodeWriter,
         clock: Callable[[], float],
         truth: Callable[[], State] | None = None,
-        cameras: Sequence[Callable[[], CameraFrame]] = (),
-        look_every: float = 1.0,
+        cameras: Sequence[Callable[[], Glimpse]] = (),
+        film_hz: float = 10.0,
         live: bool = False,
         confirm: Callable[[GroundOperator], bool] = lambda step: True,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         self._writer, self._clock, self._truth, self._confirm = writer, clock, truth, confirm
-        self._cameras, self._look_every, self._next_look = cameras, look_every, 0.0
+        self._cameras, self._period, self._next_look = cameras, 1.0 / film_hz, -math.inf
+        self._next_truth = -math.inf
         self._live, self._looking, self._over = live, False, False
         self.skills = 0
         """How many have ended."""
@@ -62,39 +70,51 @@ class Recorder(Listener):
         w = self._writer
         w.joints(state.time, state.q, state.qd, state.opening, command.sent, command.requested)
         w.tip_force(state.time, state.tip_force)
-        if self._cameras and state.time >= self._next_look and not self._looking:
-            self._next_look = state.time + self._look_every
+        film = bool(self._cameras) and state.time >= self._next_look
+        truth = self._truth is not None and state.time >= self._next_truth
+        if (film or truth) and not self._looking:
+            self._next_look = _due(self._next_look, self._period, state.time) if film else self._next_look
+            self._next_truth = _due(self._next_truth, TRUTH_EVERY, state.time) if truth else self._next_truth
             self._looking = True
             if self._live:
-                w.defer(self._look_around)
+                w.defer(lambda: self._look_around(film, truth))
             else:
-                self._look_around()
+                self._look_around(film, truth)
 
-    def _look_around(self) -> None:
+    def _look_around(self, film: bool, truth: bool) -> None:
         """A camera in trouble is the business of whoever needs it; the recording goes on without its pictures."""
         try:
-            for capture in self._cameras:
+            for glimpse in self._cameras if film else ():
                 if self._over:
                     return
                 try:
-                    self._picture(capture())
+                    self._film(glimpse())
                 except ResyncError as error:
                     _log.warning("a picture is missing from the recording: %s", error.what)
-            if self._truth:
+            if truth and self._truth and not self._over:
                 self._writer.truth(self._clock(), self._truth())
         except ResyncError as error:
             _log.warning("the truth is missing from the recording: %s", error.what)
         finally:
             self._looking = False
 
+    def on_answer(self, answer: Answer) -> None:
+        """What the executive was told, for a replay."""
+        self._writer.answer(answer)
+
+    def on_picture(self, frame: CameraFrame) -> None:
+        """A picture that was asked for; bit by bit, for a replay."""
+
+        def encode() -> None:
+            self._writer.picture(frame, _png(frame.colour[..., ::-1]), _png(frame.depth))
+
+        self._writer.defer(encode)
+
     def on_look(self, part: Cutout) -> None:
         """What a skill looked at while it moved; bit by bit, for a replay."""
 
         def encode() -> None:
-            _, png = cv2.imencode(
-                ".png", cv2.cvtColor(part.colour, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 1]
-            )
-            self._writer.window(part.name, part.time, png.tobytes())
+            self._writer.window(part.name, part.time, _png(part.colour[..., ::-1]))
 
         self._writer.defer(encode)
 
@@ -104,8 +124,6 @@ class Recorder(Listener):
     def on_scan(self, frames: Sequence[CameraFrame], state: State) -> None:
         now = self._clock()
         self._writer.event(now, EventKind.SCAN, f"{len(frames)} views")
-        for frame in frames:
-            self._picture(frame)
         xyz, rgb = cloud(frames)
         self._writer.points(now, xyz, rgb)
 
@@ -152,7 +170,7 @@ class Recorder(Listener):
 
     def on_end(self, end: End, reason: str) -> None:
         kinds = {End.GOAL: EventKind.GOAL, End.PLANNED: EventKind.PLANNED, End.STOPPED: EventKind.STOP}
-        self._writer.event(self._clock(), kinds.get(end, EventKind.GIVE_UP), reason or end.value)
+        self._writer.event(self._clock(), kinds.get(end, EventKind.GIVE_UP), reason or end.value, end=end.value)
 
     def let_go(self) -> None:
         """The robot and its cameras are about to be closed: what is still to be looked at is not."""
@@ -166,14 +184,23 @@ class Recorder(Listener):
     def confirm(self, step: GroundOperator) -> bool:
         return self._confirm(step)
 
-    def _picture(self, frame: CameraFrame) -> None:
+    def _film(self, seen: Glimpse) -> None:
         def encode() -> None:
-            quality = [cv2.IMWRITE_JPEG_QUALITY, 88]
-            _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(frame.colour, cv2.COLOR_RGB2BGR), quality)
-            _, png = cv2.imencode(".png", frame.depth, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-            self._writer.picture(frame, jpeg.tobytes(), png.tobytes())
+            _, jpeg = cv2.imencode(".jpg", seen.colour[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+            self._writer.film(seen.name, seen.time, jpeg.tobytes())
 
         self._writer.defer(encode)
+
+
+def _due(before: float, period: float, now: float) -> float:
+    """When the next is due: `period` after the one before, so that the pace is kept, or soon where that is late."""
+    return max(before + period, now + period / 2)
+
+
+def _png(picture: np.ndarray) -> bytes:
+    """Fast rather than small, of blue, green, red or of one channel."""
+    _, png = cv2.imencode(".png", np.ascontiguousarray(picture), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return png.tobytes()
 
 
 def cloud(frames: Sequence[CameraFrame]) -> tuple[np.ndarray, np.ndarray]:

@@ -95,8 +95,8 @@ class Lab:
         if do == "picture":
             name = self.rig.camera(str(question["camera"])).name
             time, poses = self.emulator.call(lambda: (self.controller.time, self._poses()))
-            part: dict[str, Any] = {k: question[k] for k in ("window", "size") if k in question}
-            head, body = self._pictures.take({"camera": name, **part, **poses})
+            part: dict[str, Any] = {k: question[k] for k in ("window", "size", "film") if k in question}
+            head, body = self._pictures.take({"camera": name, "time": time, **part, **poses})
             return head | {"time": time}, body
         raise ConfigError(f"the side door does not know '{do}'", "it knows: lay out, truth, picture")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,11 @@ class Pictures:
             task, self._world = self._lay_out(request["scene"])
             self._rng = np.random.default_rng(task.seed)
             tone = Tone.of(task.physics)
+            # Of a bench, a calibration measures how pictures differ, and asks for no film.
+            steady = self._calibrated
             self._sensors = {
-                c.name: NoisySensor(task.seed * 10 + i, c, tone=tone) for i, c in enumerate(self._rig.cameras)
+                c.name: NoisySensor(task.seed * 10 + i, c, tone=tone, steady=steady)
+                for i, c in enumerate(self._rig.cameras)
             }
             self._errors: dict[str, np.ndarray] = {}
             # The first picture of a process takes half a minute where the processor draws: no robot shall wait for it.
@@ -58,7 +62,7 @@ class Pictures:
         return task, SimWorld(task, self._rig, rendered=True)
 
     def _picture(self, request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-        """A whole picture, or the colours of a window of one."""
+        """A whole picture, the colours of a window of one, or those of a whole one for a film."""
         world = self._world
         if world is None:
             raise ResyncError("no scene has been laid out yet")
@@ -67,18 +71,21 @@ class Pictures:
             if body is not None and obj.name in request["objects"]:
                 features = np.array(request["objects"][obj.name])
                 body.entity.set_pose(Pose(features[:3], features[3:7]))
-        name = str(request["camera"])
+        name, time = str(request["camera"]), float(request.get("time", 0.0))
+        if request.get("film"):
+            colour = self._sensors[name].glimpse(world.render_colour(name).colour, time)
+            return {"height": colour.shape[0], "width": colour.shape[1]}, colour.tobytes()
         error, sensor = self._error(name), self._sensors[name]
         if "window" in request:
             window, size = Window(*map(float, request["window"])), int(request["size"])
             if not 1 <= size <= MAX_WINDOW_PX:
                 raise ResyncError(f"a window of {size} pixels; allowed: 1 to {MAX_WINDOW_PX}")
-            colour = sensor.colour(world.render_window(name, window, size, error).colour)
+            colour = sensor.colour(world.render_window(name, window, size, error).colour, time)
             return {"height": size, "width": size}, colour.tobytes()
         rig = self._real.camera(name)
         place_camera(world.built.cameras[name], rig, rig.pose @ error)
         motion = camera_motion(self._rig, name, np.array(request["q"]), np.array(request.get("qd", np.zeros(6))))
-        frame = sensor.apply(world.render(name), motion)
+        frame = sensor.apply(replace(world.render(name), time=time), motion)
         height, width = frame.depth.shape
         body_ = frame.colour.tobytes() + frame.depth.astype("<u2").tobytes()
         return {"height": height, "width": width}, body_

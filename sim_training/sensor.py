@@ -24,6 +24,9 @@ from resync_robot.sim_training.motion import Motion, flow_of, smear_colour, smea
 
 SCREEN = 2.2
 """Gamma of rendered pictures."""
+DRIFT_S = 120.0
+"""s in which exposure and white balance of a camera forget what they were."""
+KNOT_S = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +56,31 @@ class Tone:
         return cv2.LUT(np.ascontiguousarray(colour), self._table)
 
 
+class Drift:
+    """Exposure and white balance beside what the light asks for: drawn once, and wandering slowly (an
+    Ornstein-Uhlenbeck process at every KNOT_S, straight lines between). A function of time and seed, whoever asks when.
+    """
+
+    def __init__(self, noise: SensorNoise, rng: np.random.Generator) -> None:
+        self._noise, self._rng = noise, rng
+        self._logs = [draw_logs(noise, rng)]
+
+    def gains(self, time: float) -> Float[np.ndarray, "3"]:
+        """Factors on red, green and blue at that moment, s."""
+        knots = max(0.0, time) / KNOT_S
+        before = int(knots)
+        while len(self._logs) < before + 2:
+            keep = float(np.exp(-KNOT_S / DRIFT_S))
+            self._logs.append(keep * self._logs[-1] + np.sqrt(1.0 - keep**2) * draw_logs(self._noise, self._rng))
+        share = knots - before
+        return np.exp((1.0 - share) * self._logs[before] + share * self._logs[before + 1])
+
+
+def draw_logs(noise: SensorNoise, rng: np.random.Generator) -> Float[np.ndarray, "3"]:
+    """Logarithms of the factors on red, green and blue that a camera may be set to."""
+    return rng.normal(0.0, noise.exposure_sigma) + rng.normal(0.0, noise.white_balance_sigma, 3)
+
+
 class NoisySensor:
     """Adds a D435i's faults to rendered frames.
 
@@ -64,15 +92,25 @@ class NoisySensor:
         camera_rig: gives the sigmas of the pose error, a normal error of each of the three axes.
         settings: how bad the camera is; by default as the rig says.
         tone: how it is set.
+        steady: exposure and white balance are drawn once and wander slowly, as those of a camera that watches one
+            scene. Else they are drawn for each picture: for whoever learns or measures from pictures taken at random.
     """
 
     def __init__(
-        self, seed: int, camera_rig: CameraRig, settings: SensorNoise | None = None, tone: Tone | None = None
+        self,
+        seed: int,
+        camera_rig: CameraRig,
+        settings: SensorNoise | None = None,
+        tone: Tone | None = None,
+        steady: bool = False,
     ) -> None:
         self._tone = tone or Tone()
         self._rng = np.random.default_rng(seed)
         self._rig = camera_rig
         self.settings = settings or camera_rig.noise
+        # Of streams of their own: how often a film looks changes no picture that is asked for.
+        self._drift = Drift(self.settings, np.random.default_rng([seed, 83])) if steady else None
+        self._film_rng = np.random.default_rng([seed, 89])
         self._fixed_error = None if camera_rig.mount == "flange" else self._draw_pose_error()
 
     def apply(self, frame: CameraFrame, motion: Motion | None = None) -> CameraFrame:
@@ -87,7 +125,9 @@ class NoisySensor:
             flow = flow_of(motion, z, frame.intrinsics, self._rig.pose)
             colour = smear_colour(colour, flow * np.float32(self.settings.exposure_time))
             z = smear_depth(z, flow * np.float32(self.settings.depth_exposure_time))
-        return replace(frame, colour=self.colour(colour), depth=self._depth(z), world_T_cam=frame.world_T_cam @ error)
+        return replace(
+            frame, colour=self.colour(colour, frame.time), depth=self._depth(z), world_T_cam=frame.world_T_cam @ error
+        )
 
     def pose_error(self) -> Float[np.ndarray, "4 4"]:
         """camera_T_believed: for a camera on the flange another one each time it is asked."""
@@ -98,11 +138,18 @@ class NoisySensor:
         shift = self._rng.normal(0.0, self._rig.position_sigma, 3)
         return spatial.transform(spatial.rotation_from_vector(turn), shift)
 
-    def colour(self, colour: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-        """A picture, or a part of one, with the camera's exposure, white balance and noise."""
+    def colour(self, colour: UInt8[np.ndarray, "h w 3"], time: float = 0.0) -> UInt8[np.ndarray, "h w 3"]:
+        """A picture of that moment (s), or a part of one, with the camera's exposure, white balance and noise."""
+        return self._expose(colour, time, self._rng)
+
+    def glimpse(self, colour: UInt8[np.ndarray, "h w 3"], time: float = 0.0) -> UInt8[np.ndarray, "h w 3"]:
+        """The same for a film: no other picture changes by it."""
+        return self._expose(colour, time, self._film_rng)
+
+    def _expose(self, colour: np.ndarray, time: float, rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
         s = self.settings
-        gain = np.exp(self._rng.normal(0.0, s.exposure_sigma)) * np.exp(self._rng.normal(0.0, s.white_balance_sigma, 3))
-        noise = self._rng.standard_normal(colour.shape, dtype=np.float32) * np.float32(s.colour_sigma)
+        gain = np.exp(draw_logs(s, rng)) if self._drift is None else self._drift.gains(time)
+        noise = rng.standard_normal(colour.shape, dtype=np.float32) * np.float32(s.colour_sigma)
         return np.clip(self._tone.apply(colour) * gain.astype(np.float32) + noise + 0.5, 0, 255).astype(np.uint8)
 
     def _depth(self, z: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, ROBOT
-from resync_robot.core.world import CameraFrame, Cutout, Observation, Window
+from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Observation, Window
 from resync_robot.sim_training.scene import (
     TORQUE,
     BuiltScene,
@@ -154,17 +154,26 @@ class SimWorld:
 
     def render(self, name: str) -> CameraFrame:
         """A noiseless picture; depth is along the optical axis. Raises UnknownNameError."""
-        if name not in self.built.cameras:
-            raise UnknownNameError("camera", name, list(self.built.cameras), self.rig.where)
-        camera = self.built.cameras[name]
-        self.built.scene.update_render()
-        camera.take_picture()
+        camera = self._taken(name)
         colour = colour_of(camera)
         depth = -camera.get_picture("Position")[..., 2]
         depth = np.clip(np.where(np.isfinite(depth), depth, 0) / CameraFrame.DEPTH_UNIT_M, 0, 65535).astype(np.uint16)
         return CameraFrame(
             name, colour, depth, self.rig.camera(name).intrinsics, camera_pose_in_world(camera), self.time
         )
+
+    def render_colour(self, name: str) -> Glimpse:
+        """The colours of a noiseless picture, for less than the whole. Raises UnknownNameError."""
+        return Glimpse(name, colour_of(self._taken(name)), self.time)
+
+    def _taken(self, name: str) -> RenderCameraComponent:
+        """The camera with a picture of now."""
+        if name not in self.built.cameras:
+            raise UnknownNameError("camera", name, list(self.built.cameras), self.rig.where)
+        camera = self.built.cameras[name]
+        self.built.scene.update_render()
+        camera.take_picture()
+        return camera
 
     def render_window(self, name: str, window: Window, size: int, error: np.ndarray) -> Cutout:
         """A noiseless part of a picture, by rays of its own: much cheaper than the whole. Raises UnknownNameError.

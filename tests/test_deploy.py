@@ -396,19 +396,6 @@ def test_without_a_vulkan_device_physics_goes_on_and_pictures_are_one_error(libr
     assert evaluated.returncode == 0, evaluated.stderr
 
 
-def test_a_recording_is_run_over_by_the_same_executive(
-    renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    args = ["--library", str(library), "--perception", "camera", "--dry-run"]
-    assert cli.main(["deploy", *args, "--out", str(tmp_path / "run")]) == 0
-    first = capsys.readouterr().out
-    (path,) = episodes(tmp_path / "run")
-    assert cli.main(["deploy", *args, "--backend", "replay", "--replay", str(path), "--out", str(tmp_path / "2")]) == 0
-    again = capsys.readouterr().out
-    plans = [[line for line in text.splitlines() if "plan (start)" in line] for text in (first, again)]
-    assert plans[0] == plans[1] != []
-
-
 def test_a_replay_of_a_recording_with_a_hole_ends_before_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     meta = EpisodeMeta.of(load_rig(), library_hash="", domain=DOMAIN, scenario="s1", goal="", seed=0, backend="sim")
     path = tmp_path / "e.mcap"

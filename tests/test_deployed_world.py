@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,12 +12,12 @@ import pytest
 
 from resync_robot import deployed_world
 from resync_robot.core import spatial
-from resync_robot.core.episode import Timing
+from resync_robot.core.episode import Answer, Ask, Timing
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Object, Predicate
-from resync_robot.core.vocabulary import BLOCK, BOX
+from resync_robot.core.vocabulary import BLOCK, BOX, TYPES
 from resync_robot.core.world import CameraFrame, Cutout, Window
 from resync_robot.deployed_world import MORE_LOOKS, DeployedWorld, OracleWorld, walled
 from resync_robot.doubt import DoubtingAbstraction
@@ -40,6 +42,8 @@ def _silent(*args: object) -> None:
 class Told:
     """A witness that passes some of it on."""
 
+    on_answer: Callable[..., None] = _silent
+    on_picture: Callable[..., None] = _silent
     on_scan: Callable[..., None] = _silent
     on_look: Callable[..., None] = _silent
     on_timing: Callable[..., None] = _silent
@@ -104,7 +108,30 @@ def test_a_camera_that_is_not_there_or_mis_sized_is_named(world: OracleWorld) ->
 
 
 def test_a_simulated_robot_waits_for_whoever_thinks(world: OracleWorld) -> None:
-    assert not world.observe().realtime
+    with ThreadPoolExecutor(1) as thread:
+        thought = thread.submit(time.sleep, 0.05)
+        assert world.observe().ready(thought) and thought.done()
+        broken = thread.submit(lambda: 1 / 0)
+        assert world.observe().ready(broken)
+
+
+def test_whatever_the_executive_is_told_the_witness_is_told_in_that_order(world: OracleWorld) -> None:
+    answers: list[Answer] = []
+    world._witness = Told(on_answer=answers.append)
+    state = world.perceive()
+    world.limit_effort(None)
+    seen = world.observe()
+    assert seen.look is not None
+    seen.look("side", WINDOW, 16)
+    with ThreadPoolExecutor(1) as thread:
+        seen.ready(thread.submit(lambda: None))
+    kinds = [Ask.MEASURE, Ask.TRUTH, Ask.REST, Ask.MEASURE, Ask.TRUTH, Ask.PART, Ask.THOUGHT]
+    assert [a.ask for a in answers] == kinds
+    assert State.from_json(answers[1].details["objects"], TYPES) == state
+    np.testing.assert_array_equal(answers[3].details["arm"], seen.arm)
+    assert answers[5].details["camera"] == "side" and answers[5].clock == 2.5
+    assert answers[6].details["done"] is True
+    np.testing.assert_array_equal(answers[2].target.arm, world.stream.target.arm)
 
 
 def test_a_box_is_kept_free_of_all_but_the_hand() -> None:

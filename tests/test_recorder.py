@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import Ending, Outcome
-from resync_robot.core.world import CameraFrame
+from resync_robot.core.world import CameraFrame, Glimpse
 from resync_robot.hardware.base import Command, Halt, RobotState, StaleError
 from resync_robot.knowledge import initial_model
 from resync_robot.planning.execute import End
@@ -111,9 +112,13 @@ def test_every_end_is_an_event(path: Path, end: End, kind: EventKind) -> None:
     assert event.kind is kind and event.text == end.value
 
 
+def glimpse(name: str = "front", time: float = 0.0) -> Glimpse:
+    return Glimpse(name, frame(name).colour, time)
+
+
 @pytest.mark.parametrize("live", [False, True])
-def test_the_stream_is_recorded_with_pictures_and_truth_once_in_a_while(path: Path, live: bool) -> None:
-    s = Session(path, truth=lambda: STATE, cameras=[lambda: frame(time=s.now)], look_every=1.0, live=live)
+def test_the_stream_is_recorded_with_a_film_and_truth_once_in_a_while(path: Path, live: bool) -> None:
+    s = Session(path, truth=lambda: STATE, cameras=[lambda: glimpse(time=s.now)], film_hz=5.0, live=live)
     asked, sent = JointTarget(np.full(6, 0.2), 0.1), JointTarget(np.full(6, 0.1), 0.1)
     for i in range(30):
         s.now = 0.1 * i
@@ -126,17 +131,26 @@ def test_the_stream_is_recorded_with_pictures_and_truth_once_in_a_while(path: Pa
     np.testing.assert_allclose(joints[3].requested.arm, 0.2)
     np.testing.assert_allclose(joints[3].sent.arm, 0.1)
     np.testing.assert_allclose(joints[3].measured, 0.05)
-    assert [round(p.time, 3) for p in episode.pictures("front")] == pytest.approx([0.0, 1.0, 2.0], abs=0.11)
+    film = list(episode.film("front"))
+    np.testing.assert_allclose([time for time, _ in film], 0.2 * np.arange(15), atol=0.01)
+    shown = cv2.imdecode(np.frombuffer(film[0][1], np.uint8), cv2.IMREAD_COLOR)
+    np.testing.assert_allclose(shown[..., ::-1], frame().colour, atol=4)
+    assert episode.cameras == ("front",) and not list(episode.pictures("front"))
     assert len(list(episode.truths())) == 3
     assert next(episode.tip_force())[1][2] == 3.0
 
 
 def test_a_scan_is_recorded_as_pictures_and_a_cloud(path: Path) -> None:
     s = Session(path)
-    s.recorder.on_scan([frame("wrist", time=0.0)], STATE)
+    seen = frame("wrist", time=0.0)
+    s.recorder.on_picture(seen)
+    s.recorder.on_scan([seen], STATE)
     episode = s.read()
     assert [e.kind for e in episode.events()] == [EventKind.SCAN]
-    assert next(episode.pictures("wrist")).colour is not None
+    (picture,) = episode.pictures("wrist")
+    assert picture.colour is not None
+    shown = cv2.imdecode(np.frombuffer(picture.colour, np.uint8), cv2.IMREAD_COLOR)
+    np.testing.assert_array_equal(shown[..., ::-1], seen.colour)
     points = next(episode.points())
     np.testing.assert_allclose(points.xyz[:, 2], 1.5, atol=1e-5)
     assert (points.rgb[:, 0] == 200).all()
@@ -162,13 +176,13 @@ def test_a_silent_camera_holds_up_nothing_and_costs_nobody_elses_pictures(path: 
     """At a robot whose time goes on by itself, whoever streams must not wait for a picture, nor pictures pile up."""
     asked, told = 0, threading.Event()
 
-    def silent() -> CameraFrame:
+    def silent() -> Glimpse:
         nonlocal asked
         asked += 1
         told.wait(10.0)
         raise StaleError("the camera is silent")
 
-    s = Session(path, cameras=[silent, lambda: frame("side")], look_every=0.0, live=True)
+    s = Session(path, cameras=[silent, lambda: glimpse("side")], film_hz=10.0, live=True)
     command = Command(0.0, JointTarget(np.zeros(6), 0.1), JointTarget(np.zeros(6), 0.1))
 
     def stream(count: int) -> None:
@@ -184,7 +198,7 @@ def test_a_silent_camera_holds_up_nothing_and_costs_nobody_elses_pictures(path: 
     episode = s.read()
     assert s.writer.error is None and episode.damage is None
     assert len(list(episode.joints())) == 101
-    assert asked == len(list(episode.pictures("side"))) == 2
+    assert asked == len(list(episode.film("side"))) == 2
 
 
 def test_timings_are_recorded(path: Path) -> None:
@@ -215,7 +229,7 @@ def test_what_is_known_of_a_robot_at_the_end_is_an_event(path: Path, halt: Halt,
 
 
 def test_once_the_robot_is_let_go_its_cameras_are_left_alone(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    def gone() -> CameraFrame:
+    def gone() -> Glimpse:
         raise StaleError("the camera is closed")
 
     s = Session(path, cameras=[gone], live=True)

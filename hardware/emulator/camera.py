@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from resync_robot.core.rig import CameraRig, Rig
-from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Window
 from resync_robot.hardware.base import Connected, Robot
 from resync_robot.hardware.emulator.lab import LabClient
 
@@ -36,3 +36,8 @@ class EmulatedCamera(Connected):
         """A part of a picture of now, rendered by itself."""
         time, colour = self._lab.window(self.name, window, size)
         return Cutout(self.name, colour, time)
+
+    def glimpse(self) -> Glimpse:
+        """The colours of now."""
+        time, colour = self._lab.colour(self.name)
+        return Glimpse(self.name, colour, time)

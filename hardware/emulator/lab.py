@@ -107,6 +107,15 @@ class LabClient(Connected):
             time = float(head["time"])
         return time, np.frombuffer(body, np.uint8).reshape(size, size, 3)
 
+    def colour(self, camera: str) -> tuple[float, np.ndarray]:
+        """Time on the controller's clock (s), and (H, W, 3) uint8 RGB, for a film: no picture that is asked for changes
+        by it."""
+        head, body = self.ask({"do": "picture", "camera": camera, "film": True})
+        with _sense():
+            time, height, width = float(head["time"]), int(head["height"]), int(head["width"])
+            colour = np.frombuffer(body, np.uint8).reshape(height, width, 3)
+        return time, colour
+
     def ask(self, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
         """The answer, and the bytes that follow it, for any thread. Raises RobotError with the lab's own words."""
         with self._asking:

@@ -10,13 +10,15 @@
 | /atoms | text of each atom -> probability |
 | /plan | steps, index of the one under way, why it was planned |
 | /event | scan, skill start and end, replan, give-up, goal, stop, and what is known of a real robot at the end |
+| /answer | what the executive was told of the world, in the order in which it asked: what a replay answers with |
 | /timing | of each target: exposure of what was looked at before it, asked, first setpoint due, seconds of computing |
-| /camera/NAME/info | intrinsics and pose |
-| /camera/NAME/{colour,depth} | sensor_msgs/CompressedImage: JPEG, and 16-bit PNG (unit 1e-4 m, 0 = nothing) |
+| /camera/NAME/info | intrinsics and pose of a picture that was asked for |
+| /camera/NAME/{colour,depth} | sensor_msgs/CompressedImage: PNG, and 16-bit PNG (unit 1e-4 m, 0 = nothing) |
 | /camera/NAME/window | the same as PNG: the parts that a skill looked at while it moved |
+| /camera/NAME/film | the same as JPEG: what the camera saw while nobody asked, for people |
 | /points | sensor_msgs/PointCloud2: fused cloud in the world, x y z in m, r g b |
 
-JSON but for the last three. The same once more as messages of ROS 2, for Foxglove, Rerun and whatever else reads them:
+JSON but for the last four. The same once more as messages of ROS 2, for Foxglove, Rerun and whatever else reads them:
 /joint_states, /joint_commands, /tf, /wrench, /camera/NAME/{camera_info,depth_mm}, /plan_text, /atoms_text, /rosout,
 /latency.
 
@@ -89,6 +91,35 @@ class EventKind(Enum):
     """In place of HALTED: nobody knows whether it has."""
 
 
+class Ask(Enum):
+    """What an executive asks of the world. The value says it for people."""
+
+    MEASURE = "measures the arm"
+    PICTURE = "takes a picture"
+    PART = "looks at a part of a picture"
+    TRUTH = "asks where everything really is"
+    THOUGHT = "asks whether a policy has thought to its end"
+    REST = "lets the arm come to rest"
+    STOP = "is stopped by the robot"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What an executive was told.
+
+    Attributes:
+        clock: s on the robot's clock, of what is told.
+        target: what the arm was being sent to; with REST, where it rests.
+        details: plain JSON. MEASURE: arm, velocity, force, opening; PICTURE and PART: camera; TRUTH: objects; THOUGHT:
+            done; STOP: reason.
+    """
+
+    ask: Ask
+    clock: float
+    target: JointTarget
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, kw_only=True)
 class EpisodeMeta:
     """What a recording needs to be understood on its own.
@@ -100,6 +131,8 @@ class EpisodeMeta:
         versions: package or program -> version.
         frames: frame name -> its definition.
         began: date and time of the beginning in UTC, as ISO 8601 has it; the epoch where nobody told.
+        objects: name -> type, in the order in which the task has them.
+        settings: of the deployment, by the names of `DeployConfig`: those that change what is asked of the world.
     """
 
     rig_hash: str
@@ -113,6 +146,8 @@ class EpisodeMeta:
     versions: Mapping[str, str] = field(default_factory=dict)
     frames: Mapping[str, Any] = field(default_factory=lambda: dict(FRAMES))
     began: str = EPOCH.isoformat()
+    objects: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def began_ns(self) -> int:
@@ -178,7 +213,8 @@ class Timing:
 
 @dataclass(frozen=True)
 class Picture:
-    """An encoded RGB-D picture. `colour` (JPEG) and `depth` (16-bit PNG, 1e-4 m) are None where the file is torn."""
+    """An encoded RGB-D picture. `colour` (PNG; JPEG in older files) and `depth` (16-bit PNG, 1e-4 m) are None where the
+    file is torn."""
 
     time: float
     camera: str
@@ -322,7 +358,9 @@ class Episode:
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        return tuple(sorted(t.split("/")[2] for t in self.messages if t.startswith("/camera/") and t.endswith("/info")))
+        """Those that were looked through, or filmed."""
+        kinds = ("/info", "/window", "/film")
+        return tuple(sorted({t.split("/")[2] for t in self.messages if t.startswith("/camera/") and t.endswith(kinds)}))
 
     def joints(self) -> Iterator[Joints]:
         for time, m in self._read("/joints"):
@@ -364,6 +402,14 @@ class Episode:
                 event = Event(time, EventKind(m["kind"]), str(m["text"]), dict(m["details"]))
             yield event
 
+    def answers(self) -> Iterator[tuple[float, Answer]]:
+        """Time in s of the episode, and what the executive was told then."""
+        for time, m in self._read("/answer"):
+            with self._sense("/answer", time):
+                target = JointTarget(_vector(m["target"], 6), _number(m["target_opening"]))
+                answer = Answer(Ask[m["ask"]], _number(m["clock"]), target, dict(m["details"]))
+            yield time, answer
+
     def timings(self) -> Iterator[Timing]:
         for time, m in self._read("/timing"):
             with self._sense("/timing", time):
@@ -385,7 +431,13 @@ class Episode:
 
     def windows(self, camera: str) -> Iterator[tuple[float, bytes]]:
         """Time and PNG of each part of a picture that a skill looked at."""
-        topic = f"/camera/{camera}/window"
+        return self._images(f"/camera/{camera}/window")
+
+    def film(self, camera: str) -> Iterator[tuple[float, bytes]]:
+        """Time and JPEG of what the camera saw while nobody asked."""
+        return self._images(f"/camera/{camera}/film")
+
+    def _images(self, topic: str) -> Iterator[tuple[float, bytes]]:
         for time, message in self.messages.get(topic, ()):
             with self._sense(topic, time):
                 data = ros_messages.image_data(message)

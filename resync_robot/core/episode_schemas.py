@@ -19,7 +19,7 @@ _SIX, _OBJECTS = _array(_NUMBER, 6), _object(objects=_ANY)
 SCHEMAS = {
     "meta": _object(
         format=_COUNT, rig_hash=_TEXT, rig=_ANY, library_hash=_TEXT, domain=_TEXT, scenario=_TEXT, goal=_TEXT,
-        seed=_COUNT, backend=_TEXT, versions=_ANY, frames=_ANY, began=_TEXT,
+        seed=_COUNT, backend=_TEXT, versions=_ANY, frames=_ANY, began=_TEXT, objects=_ANY, settings=_ANY,
     ),
     "joints": _object(
         measured=_SIX, velocity=_SIX, opening=_NUMBER, sent=_SIX, sent_opening=_NUMBER, requested=_SIX,
@@ -30,6 +30,7 @@ SCHEMAS = {
     "truth": _OBJECTS,
     "atoms": _object(atoms={"type": "object", "additionalProperties": _NUMBER}),
     "plan": _object(steps=_array(_TEXT), current={"type": ["integer", "null"]}, reason=_TEXT),
+    "answer": _object(ask=_TEXT, clock=_NUMBER, target=_SIX, target_opening=_NUMBER, details=_ANY),
     "timing": _object(picture=_NUMBER, asked=_NUMBER, due=_NUMBER, computed=_NUMBER),
     "event": _object(kind=_TEXT, text=_TEXT, details=_ANY),
     "info": _object(

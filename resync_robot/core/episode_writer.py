@@ -24,7 +24,7 @@ from jaxtyping import Float, UInt8
 from mcap.writer import CompressionType, Writer
 
 from resync_robot.core import ros_messages
-from resync_robot.core.episode import FORMAT, POINT, EpisodeMeta, EventKind, Timing, plain
+from resync_robot.core.episode import FORMAT, POINT, Answer, EpisodeMeta, EventKind, Timing, plain
 from resync_robot.core.episode_schemas import SCHEMAS
 from resync_robot.core.errors import DiskError, EpisodeError, ResyncError
 from resync_robot.core.files import disk_fault, unwritable
@@ -154,6 +154,17 @@ class EpisodeWriter:
         line = partial(ros_messages.log, self._stamp(time), LEVELS.get(kind, 20), kind.value, text)
         self._ros("/rosout", "rcl_interfaces/msg/Log", time, line)
 
+    def answer(self, answer: Answer) -> None:
+        """What the executive was told of the world, on the robot's clock as everything here."""
+        content = {
+            "ask": answer.ask.name,
+            "clock": answer.clock,
+            "target": answer.target.arm,
+            "target_opening": answer.target.opening,
+            "details": answer.details,
+        }
+        self._json("/answer", self._since(answer.clock), content)
+
     def timing(self, timing: Timing) -> None:
         """When a target was asked for, and when its first setpoint was due."""
         picture, due = timing.picture, self._since(timing.due)
@@ -163,7 +174,7 @@ class EpisodeWriter:
             self._ros("/latency", "std_msgs/msg/Float64", due, partial(ros_messages.number, timing.due - picture))
 
     def picture(self, frame: CameraFrame, colour: bytes, depth: bytes) -> None:
-        """A frame whose pictures the caller has encoded: `colour` as JPEG, `depth` as 16-bit PNG."""
+        """A frame whose pictures the caller has encoded: `colour` as PNG or JPEG, `depth` as 16-bit PNG."""
         height, width = frame.depth.shape
         info = {
             "intrinsics": frame.intrinsics,
@@ -192,7 +203,7 @@ class EpisodeWriter:
                 (
                     f"{root}/colour",
                     "sensor_msgs/msg/CompressedImage",
-                    ros_messages.compressed_image(stamp, where, "jpeg", colour),
+                    ros_messages.compressed_image(stamp, where, _format(colour), colour),
                 ),
                 (
                     f"{root}/depth",
@@ -207,9 +218,16 @@ class EpisodeWriter:
 
     def window(self, camera: str, time: float, png: bytes) -> None:
         """A part of a picture that a skill looked at, as PNG."""
+        self._image("window", camera, time, png)
+
+    def film(self, camera: str, time: float, jpeg: bytes) -> None:
+        """What a camera saw while nobody asked, as JPEG."""
+        self._image("film", camera, time, jpeg)
+
+    def _image(self, kind: str, camera: str, time: float, data: bytes) -> None:
         time = self._since(time)
-        pack = partial(ros_messages.compressed_image, self._stamp(time), f"camera_{camera}", "png", png)
-        self._ros(f"/camera/{camera}/window", "sensor_msgs/msg/CompressedImage", time, pack)
+        pack = partial(ros_messages.compressed_image, self._stamp(time), f"camera_{camera}", _format(data), data)
+        self._ros(f"/camera/{camera}/{kind}", "sensor_msgs/msg/CompressedImage", time, pack)
 
     def points(self, time: float, xyz: Float[np.ndarray, "n 3"], rgb: UInt8[np.ndarray, "n 3"]) -> None:
         """A point cloud in the world frame, m; thin it before (10,000 points are 150 kB)."""
@@ -349,3 +367,7 @@ class EpisodeWriter:
         why = (isinstance(error, OSError) and error.strerror) or error
         self.error = kind(f"the recording {self.path} stopped: {why}", "free disk space, or record elsewhere")
         _log.error("%s", self.error)
+
+
+def _format(picture: bytes) -> str:
+    return "png" if picture.startswith(b"\x89PNG") else "jpeg"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -59,8 +60,33 @@ class Cutout:
     time: float
 
 
+@dataclass(frozen=True)
+class Glimpse:
+    """What a camera sees by the way, for people.
+
+    Attributes:
+        colour: (H, W, 3) uint8, RGB.
+        time: seconds on the robot's clock when it was exposed.
+    """
+
+    name: str
+    colour: UInt8[np.ndarray, "h w 3"]
+    time: float
+
+
 Look = Callable[[str, Window, int], Cutout]
 """(camera, window, size) -> what that camera sees there now. Raises UnknownNameError or PerceptionError."""
+
+
+Ready = Callable[[Future[Any]], bool]
+"""Whether something that a skill thinks out beside the motion is finished. Where time stands still meanwhile, as in a
+simulator, it always is: it is waited for."""
+
+
+def awaited(thought: Future[Any]) -> bool:
+    """`Ready` of a world whose time waits; whatever the thought raises is left to whoever wants its result."""
+    thought.exception()
+    return True
 
 
 @dataclass(frozen=True)
@@ -76,7 +102,7 @@ class Observation:
         tip_force: (3,) force that the world exerts on the hand, N, world frame, estimated.
         state: the current belief about the objects, the robot's own features always measured.
         look: takes pictures, where the world has cameras that a skill may look through while it runs.
-        realtime: time goes on while a skill thinks; a simulator waits.
+        ready: whether a thought that a skill began is finished.
     """
 
     time: float
@@ -87,7 +113,7 @@ class Observation:
     tip_force: Float[np.ndarray, "3"]
     state: State
     look: Look | None = None
-    realtime: bool = False
+    ready: Ready = awaited
 
 
 class World(Protocol):

@@ -1,4 +1,7 @@
-"""Every backend's arm, gripper and camera, handed out under one name each."""
+"""Every backend's arm, gripper and camera, handed out under one name each.
+
+A recording is none of them: its arm goes where it went. What it owes is in `test_motions_contract.py`.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 
-from resync_robot.core.episode import EpisodeMeta, read_episode
-from resync_robot.core.episode_writer import EpisodeWriter
-from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.world import CameraFrame
 from resync_robot.hardware.base import Gripper, Robot
 from resync_robot.hardware.emulator.arm import KinematicArm
-from resync_robot.hardware.replay import ReplayRobot
 from resync_robot.hardware.robotiq import Robotiq
 from resync_robot.hardware.sim import SimGripper, SimRobot
 from resync_robot.hardware.ur7e import Ur7e
@@ -95,38 +92,14 @@ def ur7e(rig: Rig | None = None) -> Iterator[Backend]:
         robot.close()
 
 
-@contextmanager
-def replay() -> Iterator[Backend]:
-    """Over a recording of an arm that stood still, hand open; then one with something between its pads."""
-    rig = load_rig()
-    arm = KinematicArm(rig.arm.home, 0.1)
-
-    class Recorded(ReplayRobot):
-        def _opening(self) -> float:
-            return max(super()._opening(), arm.object_width)
-
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "episode.mcap"
-        meta = EpisodeMeta.of(rig, library_hash="", domain="", scenario="", goal="", seed=0, backend="sim")
-        with EpisodeWriter(path, meta) as writer:
-            there = JointTarget(rig.arm.home, 0.1)
-            for k in range(100):
-                writer.joints(0.02 * k, rig.arm.home, np.zeros(6), 0.1, there, there)
-                writer.tip_force(0.02 * k, np.zeros(3))
-        robot = Recorded(read_episode(path))
-        yield Backend("replay", robot, robot.gripper, rig, arm)
-
-
 SISTERS = ("ur3e", "ur5e", "ur10e", "ur16e")
 """Each with a 2F-85; the UR12e is a UR10e."""
-BACKENDS = {"sim": sim, "ur7e": ur7e, "replay": replay} | {
+BACKENDS = {"sim": sim, "ur7e": ur7e} | {
     model: partial(lambda model: ur7e(emulators.sister(model)), model) for model in SISTERS
 }
 
 
-@pytest.fixture(
-    params=["sim", *(pytest.param(name, marks=pytest.mark.realtime) for name in ("ur7e", *SISTERS)), "replay"]
-)
+@pytest.fixture(params=["sim", *(pytest.param(name, marks=pytest.mark.realtime) for name in ("ur7e", *SISTERS))])
 def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
     with BACKENDS[request.param]() as made:
         yield made

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
@@ -13,16 +14,16 @@ import cv2
 import numpy as np
 import pytest
 
-from resync_robot.core.episode import EpisodeMeta, read_episode
+from resync_robot.core.episode import Answer, Ask, EpisodeMeta, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
-from resync_robot.core.world import CameraFrame, Cutout, Window
-from resync_robot.hardware.base import Camera, RobotError, WindowedCamera
+from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Window
+from resync_robot.hardware.base import Camera, FilmedCamera, RobotError, WindowedCamera
 from resync_robot.hardware.emulator.camera import EmulatedCamera
 from resync_robot.hardware.realsense import RealSense
 from resync_robot.hardware.realsense_device import load_pyrealsense2
-from resync_robot.hardware.replay import ReplayCamera, ReplayRobot
+from resync_robot.hardware.replay import Answers, ReplayArm, ReplayCamera
 from resync_robot.hardware.sim import SimCamera
 from tests.hardware.software_camera import HEIGHT, WIDTH, SoftwareSource
 
@@ -49,6 +50,12 @@ class Physics:
 
     def render_window(self, camera: str, window: Window, size: int, error: np.ndarray) -> Cutout:
         return Cutout(camera, np.full((size, size, 3), 90, np.uint8), self.time)
+
+    def render_colour(self, camera: str) -> Glimpse:
+        return Glimpse(camera, np.full((HEIGHT, WIDTH, 3), 90, np.uint8), self.time)
+
+    def colour(self, camera: str) -> tuple[float, np.ndarray]:
+        return self.time, self.render_colour(camera).colour
 
     def picture(self, camera: str) -> tuple[float, np.ndarray, np.ndarray]:
         seen = self.render(camera)
@@ -79,21 +86,27 @@ def realsense() -> Iterator[Camera]:
 
 
 @contextmanager
-def replay() -> Iterator[Camera]:
+def replay(parts: bool = False) -> Iterator[Camera]:
+    """Over a recording of whoever took three pictures, or looked at a part of one."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "episode.mcap"
         meta = EpisodeMeta.of(RIG, library_hash="", domain="", scenario="", goal="", seed=0, backend="sim")
         there = JointTarget(RIG.arm.home, 0.1)
         with EpisodeWriter(path, meta) as writer:
             writer.joints(0.0, RIG.arm.home, np.zeros(6), 0.1, there, there)
-            for k in range(4):
+            for k in range(3):
                 seen = frame(0.1 * k)
+                writer.answer(Answer(Ask.PART if parts else Ask.PICTURE, seen.time, there, {"camera": "wrist"}))
                 jpeg, png = (cv2.imencode(kind, x)[1] for kind, x in ((".jpg", seen.colour), (".png", seen.depth)))
                 writer.picture(seen, jpeg.tobytes(), png.tobytes())
                 part = np.full((16, 16, 3), 90, np.uint8)
                 writer.window("wrist", seen.time, cv2.imencode(".png", part)[1].tobytes())
         episode = read_episode(path)
-        yield ReplayCamera(episode, "wrist", ReplayRobot(episode))
+        answers = Answers(episode)
+        yield ReplayCamera(episode, "wrist", answers, ReplayArm(episode, answers))
+
+
+MADE = ("sim", "emulated", "realsense", "replay")
 
 
 @pytest.fixture(params=[sim, emulated, realsense, replay], ids=lambda make: make.__name__)
@@ -124,7 +137,27 @@ def test_a_picture_belongs_to_whoever_asked(camera: Camera) -> None:
     np.testing.assert_array_equal(first.colour, kept)
 
 
-def test_a_part_of_a_picture_has_the_size_asked_for(camera: Camera) -> None:
+@pytest.mark.parametrize("make", [sim, emulated, realsense, partial(replay, parts=True)], ids=MADE)
+def test_a_part_of_a_picture_has_the_size_asked_for(make: Callable[[], AbstractContextManager[Camera]]) -> None:
+    with make() as camera, camera:
+        check_part(camera)
+
+
+@pytest.mark.parametrize("make", [sim, emulated, realsense], ids=MADE[:3])
+def test_a_glimpse_shows_the_whole_picture_and_holds_up_nobody(
+    make: Callable[[], AbstractContextManager[Camera]],
+) -> None:
+    with make() as camera, camera:
+        before = camera.capture()
+        assert isinstance(camera, FilmedCamera)
+        seen = camera.glimpse()
+        height, width = seen.colour.shape[:2]
+        assert (seen.name, seen.colour.dtype) == ("wrist", np.uint8) and (height, width) == (HEIGHT, WIDTH)
+        np.testing.assert_allclose(seen.colour[height // 2, width // 2], 90, atol=2)
+        assert seen.time >= before.time - 0.2
+
+
+def check_part(camera: Camera) -> None:
     assert isinstance(camera, WindowedCamera)
     part = camera.cut_out(WINDOW, 16)
     assert (part.name, part.colour.shape, part.colour.dtype) == ("wrist", (16, 16, 3), np.uint8)

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from resync_robot.core.episode import FORMAT, EpisodeMeta, EventKind, Timing, mend_episode, read_episode
+from resync_robot.core.episode import FORMAT, Answer, Ask, EpisodeMeta, EventKind, Timing, mend_episode, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.joints import JointTarget
@@ -31,7 +31,7 @@ SIX = np.linspace(-1, 1, 6)
 VIEWED = (
     "/joint_states", "/joint_commands", "/tf", "/wrench", "/plan_text", "/atoms_text", "/rosout", "/latency",
     "/camera/wrist/camera_info", "/camera/wrist/colour", "/camera/wrist/depth", "/camera/wrist/depth_mm",
-    "/camera/wrist/window", "/points",
+    "/camera/wrist/window", "/camera/wrist/film", "/points",
 )  # fmt: skip
 """The channels for viewers."""
 
@@ -69,6 +69,7 @@ def write(path, seconds: float = 3.0, begin: float = 0.0) -> None:
                 )
                 writer.picture(frame, rng.bytes(3000), b"png")
                 writer.window("wrist", t, b"png")
+                writer.film("wrist", t, b"\xff\xd8jpeg")
                 writer.timing(Timing(t - 0.08, t - 0.01, t, 0.002))
         writer.flush()
         assert writer.error is None
@@ -112,9 +113,26 @@ def test_round_trip(tmp_path):
     assert (picture.time, picture.width, picture.height, picture.depth) == (2.0, 6, 4, b"png")
     assert picture.colour is not None and len(picture.colour) == 3000
     np.testing.assert_array_equal(picture.intrinsics, np.eye(3) * 2)
+    assert list(episode.film("wrist"))[1] == (1.0, b"\xff\xd8jpeg")
     assert list(episode.timings())[1] == Timing(0.92, 0.99, 1.0, 0.002)
     cloud = next(iter(episode.points()))
     assert cloud.xyz.shape == (200, 3) and cloud.xyz.dtype == np.float32 and (cloud.rgb == 7).all()
+
+
+def test_what_the_executive_was_told_keeps_every_bit_and_the_robots_own_clock(tmp_path):
+    told = [
+        Answer(Ask.MEASURE, 1000.1 + 1 / 3, JointTarget(SIX / 3, 0.1 / 3), {"arm": list(SIX / 7), "opening": 0.1}),
+        Answer(Ask.REST, 1001.0, JointTarget(SIX, 0.0), {}),
+    ]
+    with EpisodeWriter(tmp_path / "e.mcap", meta(), 1000.0) as writer:
+        for answer in told:
+            writer.answer(answer)
+    read = list(read_episode(tmp_path / "e.mcap").answers())
+    assert [time for time, _ in read] == pytest.approx([0.1 + 1 / 3, 1.0], abs=1e-9)
+    for (_, again), then in zip(read, told, strict=True):
+        assert (again.ask, again.clock, again.details) == (then.ask, then.clock, then.details)
+        np.testing.assert_array_equal(again.target.arm, then.target.arm)
+        assert again.target.opening == then.target.opening
 
 
 def test_a_recording_counts_from_its_beginning_whatever_the_robots_clock_says(whole, tmp_path):
@@ -299,6 +317,9 @@ def raw_episode(path, topic: str, message: bytes, record_meta: dict | None = Non
         ("/camera/a/colour", b"a plain JPEG"),
         ("/camera/a/colour", b"\x00\x01\x00\x00" + b"\xff" * 30),
         ("/timing", b'{"picture": null}'),
+        ("/answer", b'{"ask": "GUESS", "clock": 1, "target": [1, 2, 3, 4, 5, 6], "target_opening": 0, "details": {}}'),
+        ("/answer", b'{"ask": "REST", "clock": 1, "target": [1], "target_opening": 0, "details": {}}'),
+        ("/camera/a/film", b"a plain JPEG"),
         ("/points", b"1234567"),
         ("/points", b"\x00\x01\x00\x00" + bytes(40)),
     ],
@@ -309,7 +330,8 @@ def test_a_senseless_message_is_an_error_that_names_its_channel(tmp_path, topic,
     episode = read_episode(path)
     readers = {
         "/joints": episode.joints, "/state": episode.states, "/atoms": episode.atoms, "/plan": episode.plans,
-        "/event": episode.events, "/timing": episode.timings, "/points": episode.points,
+        "/event": episode.events, "/timing": episode.timings, "/points": episode.points, "/answer": episode.answers,
+        "/camera/a/film": lambda: episode.film("a"),
     }  # fmt: skip
     read = readers.get(topic, lambda: episode.pictures("a"))
     with pytest.raises(EpisodeError, match=topic):

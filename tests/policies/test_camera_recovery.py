@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
 from resync_robot.core.skill import Ending, Outcome
-from resync_robot.core.world import Cutout, Observation, Window
+from resync_robot.core.world import Cutout, Observation, Ready, Window, awaited
 from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS, Prediction
 from resync_robot.learning.recovery_policy import LOWEST_TIP
 from resync_robot.planning.execute import run_skill
@@ -38,10 +39,10 @@ class Seeing(Follower):
     black: str = ""
     frozen: str = ""
     late: float = 0.0
-    realtime: bool = False
+    ready: Ready = awaited
 
     def observe(self, live: bool = False) -> Observation:
-        return replace(super().observe(live), look=self.look, realtime=self.realtime)
+        return replace(super().observe(live), look=self.look, ready=self.ready)
 
     def look(self, name: str, window: Window, size: int) -> Cutout:
         colour = self.rng.integers(60, 200, (size, size, 3)).astype(np.uint8)
@@ -224,7 +225,7 @@ def test_a_slow_policy_is_bridged_in_real_time_and_waited_for_in_simulation() ->
     one, waited = run(quick)
     two, again = run(slow)
     assert one == two and len(waited.tips) == len(again.tips)
-    outcome, bridged = run(Scripted(done_at=5, seconds=0.02), realtime=True)
+    outcome, bridged = run(Scripted(done_at=5, seconds=0.02), ready=Future.done)
     assert outcome.done and len(bridged.tips) > len(waited.tips)
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -137,3 +138,33 @@ def test_gamma_darkens_middle_tones_and_white_balance_tints() -> None:
     assert red > green == 110
     sensed = NoisySensor(0, WRIST, ONLY_NOISE, Tone(gamma=1.0)).colour(np.full((40, 40, 3), 110, np.uint8))
     assert sensed.mean() < 60, "the sensor sees through it"
+
+
+def test_a_camera_that_watches_one_scene_keeps_its_exposure_but_for_a_slow_drift() -> None:
+    quiet = replace(WRIST.noise, colour_sigma=0.0)
+    grey = np.full((4, 4, 3), 110, np.uint8)
+
+    def levels(seed: int, times: Sequence[float], steady: bool = True) -> np.ndarray:
+        sensor = NoisySensor(seed, WRIST, quiet, steady=steady)
+        return np.array([sensor.colour(grey, time).mean() for time in times])
+
+    seconds = np.arange(0.0, 10.0, 0.1)
+    slow, anew = levels(0, seconds), levels(0, seconds, steady=False)
+    assert np.abs(np.diff(slow)).max() <= 2.0 < np.abs(np.diff(anew)).max()
+    # Episodes, and moments far apart, differ by as much as pictures that are drawn anew.
+    for drawn in (np.array([levels(k, [0.0])[0] for k in range(300)]), levels(0, 3600.0 * np.arange(300))):
+        assert np.std(np.log(drawn)) == pytest.approx(quiet.exposure_sigma, rel=0.15)
+
+
+@pytest.mark.parametrize("steady", [False, True])
+def test_however_often_a_film_looks_the_pictures_that_are_asked_for_stay_the_same(steady: bool) -> None:
+    plain, filmed = (NoisySensor(7, WRIST, steady=steady) for _ in range(2))
+    frame = plane(0.4)
+    for k in range(3):
+        for i in range(3 * k):
+            filmed.glimpse(frame.colour, 30.0 * k - i)
+        first, second = (sensor.apply(replace(frame, time=30.0 * k)) for sensor in (plain, filmed))
+        np.testing.assert_array_equal(first.colour, second.colour)
+        np.testing.assert_array_equal(first.depth, second.depth)
+        np.testing.assert_array_equal(first.world_T_cam, second.world_T_cam)
+    assert (filmed.glimpse(frame.colour) != filmed.glimpse(frame.colour)).any()

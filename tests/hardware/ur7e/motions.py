@@ -12,9 +12,9 @@ import pytest
 
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
-from resync_robot.hardware.base import RobotError
+from resync_robot.hardware.base import Recorder, RobotError
 from resync_robot.hardware.emulator.server import Emulator
-from resync_robot.hardware.stream import Recorder, Stream
+from resync_robot.hardware.stream import Stream
 from resync_robot.hardware.ur7e import Ur7e
 
 
