@@ -60,7 +60,7 @@ class DeployConfig:
 
     record_pictures: Given[float] = None
     """How often the recording films what each camera sees while the arm moves, Hz; 0: not at all. Default: 10 where
-    cameras stream, 2 where every picture has to be rendered."""
+    cameras stream, 2 with --backend sim and 1 on an emulated rig, where every picture has to be rendered."""
 
     out: Given[Path] = None
     """Folder of the recordings. Default: runs/DATE-deploy."""

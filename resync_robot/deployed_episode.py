@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from resync_robot.core.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from contextlib import AbstractContextManager
 
     from resync_robot.backends import Devices
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
     from resync_robot.core.task import Task
+    from resync_robot.core.world import Glimpse
     from resync_robot.deploy_settings import DeployConfig
     from resync_robot.hardware.base import Halt, ProtectiveStopError
     from resync_robot.perception.segment import Segmenter
@@ -107,8 +109,8 @@ def run_episode(
     from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployed_world import DeployedWorld, OracleWorld
     from resync_robot.doubt import doubting
+    from resync_robot.hardware.answers import Departure, RecordingOverError
     from resync_robot.hardware.base import Halt, RealtimeRobot, RobotError
-    from resync_robot.hardware.replay import Departure, RecordingOverError
     from resync_robot.planning.execute import End, ExecuteSettings, Result, begin_after, plan_f
     from resync_robot.progress import say
     from resync_robot.recorder import Recorder
@@ -142,13 +144,13 @@ def run_episode(
         with let_through():
             devices = stack.enter_context(opened)
         writer = stack.enter_context(EpisodeWriter(path, _dated(meta), devices.clock()))
-        film_hz = devices.film_hz if config.record_pictures is None else config.record_pictures
+        film, film_hz = film_of(config, devices)
         recorder = (Recorder if recording is None else ReplayRecorder)(
             writer,
             devices.clock,
             devices.truth,
-            devices.film if film_hz else (),
-            film_hz or 1.0,
+            film,
+            film_hz,
             live=isinstance(devices.robot, RealtimeRobot),
             confirm=lambda step: not config.confirm or _may_run(str(step)),
             tell=say,
@@ -210,6 +212,12 @@ def run_episode(
             replayed = judge(recording, devices.answers, result.end, result.reason, broken_off)
     fix = BEWARE if halt is Halt.UNKNOWN else fix
     return EpisodeOutcome(result, reached, recorder.skills, halt, writer.error is None, ending, fix, replayed)
+
+
+def film_of(config: DeployConfig, devices: Devices) -> tuple[tuple[Callable[[], Glimpse], ...], float]:
+    """What is filmed, and how often, Hz."""
+    hz = devices.film_hz if config.record_pictures is None else config.record_pictures
+    return (devices.film, hz) if hz else ((), devices.film_hz)
 
 
 def _dated(meta: EpisodeMeta) -> EpisodeMeta:

@@ -225,6 +225,8 @@ class DeployedWorld:
     def _limit_effort(self, limit: tuple[float, ...] | None) -> None:
         self.stream.limit_effort(limit)
         self._tell(Ask.REST)
+        # It has taken a while, and what comes next is to be told of its own moment.
+        self._measure()
 
     def perceive(self) -> State:
         """Scan, unless the only news since the last look is that the hand closed on a block it had seen, alone."""

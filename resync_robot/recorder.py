@@ -70,11 +70,12 @@ class Recorder(Listener):
         w = self._writer
         w.joints(state.time, state.q, state.qd, state.opening, command.sent, command.requested)
         w.tip_force(state.time, state.tip_force)
-        film = bool(self._cameras) and state.time >= self._next_look
-        truth = self._truth is not None and state.time >= self._next_truth
+        now = state.time + 1e-9
+        film = bool(self._cameras) and now >= self._next_look
+        truth = self._truth is not None and now >= self._next_truth
         if (film or truth) and not self._looking:
-            self._next_look = _due(self._next_look, self._period, state.time) if film else self._next_look
-            self._next_truth = _due(self._next_truth, TRUTH_EVERY, state.time) if truth else self._next_truth
+            self._next_look = _due(self._next_look, self._period, now) if film else self._next_look
+            self._next_truth = _due(self._next_truth, TRUTH_EVERY, now) if truth else self._next_truth
             self._looking = True
             if self._live:
                 w.defer(lambda: self._look_around(film, truth))
@@ -193,8 +194,8 @@ class Recorder(Listener):
 
 
 def _due(before: float, period: float, now: float) -> float:
-    """When the next is due: `period` after the one before, so that the pace is kept, or soon where that is late."""
-    return max(before + period, now + period / 2)
+    """When the next is due: `period` after the one before was, so that the pace is kept, unless that is past."""
+    return before + period if before + period > now else now + period
 
 
 def _png(picture: np.ndarray) -> bytes:

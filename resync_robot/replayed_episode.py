@@ -15,7 +15,7 @@ from resync_robot.core.symbols import Atom, Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.core.vocabulary import TYPES
 from resync_robot.deploy_settings import DeployConfig
-from resync_robot.hardware.replay import Answers, Departure, RecordingOverError
+from resync_robot.hardware.answers import Answers, Departure, RecordingOverError
 from resync_robot.planning.execute import End
 from resync_robot.planning.search import Plan as FoundPlan
 from resync_robot.recorder import Recorder
@@ -110,7 +110,7 @@ def recorded_task(recording: Episode, domain: Domain) -> Task:
 class ReplayRecorder(Recorder):
     """Records a replay as any episode, and compares what is concluded and begun with what was then.
 
-    What is asked of the world is compared where it is answered, in `resync_robot.hardware.replay`; but who plans otherwise is told
+    What is asked of the world is compared where it is answered, in `resync_robot.hardware.answers`; but who plans otherwise is told
     so here, before the first target differs. Every method raises Departure.
     """
 

@@ -75,6 +75,8 @@ def renderer() -> None:
         (("--backend", "replay"), "needs a recording"),
         (("--replay", "x.mcap"), "for --backend replay"),
         (("--backend", "replay", "--replay", "/nowhere.mcap"), "/nowhere.mcap"),
+        (("--record-pictures", "99"), "--record-pictures is 99; allowed: 0 to 30"),
+        (("--record-pictures", "-1"), "--record-pictures is -1; allowed: 0 to 30"),
         (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),
         (("--pddl", "x"), "add --dry-run"),
         (("--pddl", "x", "--dry-run", "--episodes", "2"), "--pddl writes one problem"),

@@ -16,21 +16,30 @@ from mcap.records import Channel, Message
 from resync_robot import backends, cli
 from resync_robot.core.episode import Answer, Ask, Episode, EpisodeMeta, EventKind, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
-from resync_robot.core.errors import ConfigError, RenderError
+from resync_robot.core.errors import ConfigError, PerceptionError, RenderError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.library import save_library
 from resync_robot.core.mcap_file import read_whole, write_whole
 from resync_robot.core.rig import Rig, load_rig
+from resync_robot.core.state import State
 from resync_robot.core.task import Task
+from resync_robot.core.world import CameraFrame, Glimpse
 from resync_robot.deploy_settings import DeployConfig
-from resync_robot.hardware.replay import Answers, Departure, RecordingOverError
+from resync_robot.deployed_episode import film_of
+from resync_robot.deployed_world import DeployedWorld
+from resync_robot.hardware.answers import Answers, Departure, RecordingOverError
 from resync_robot.hardware.sim import SimRobot
+from resync_robot.perception.catalogue import Catalogue
 from resync_robot.planning.execute import End
+from resync_robot.recorder import Recorder
 from resync_robot.replayed_episode import as_recorded, check_rig, judge, recorded_task
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 from tests.libraries import DOMAIN, given_library
+from tests.perception.raycast import FLOOR, Table
+
+RIG = load_rig()
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +55,13 @@ def blind(task: Task, rig: Rig) -> Iterator[backends.SimulatedDevices]:
     world = SimWorld(task, rig)
     with SimRobot(world) as robot:
         yield backends.SimulatedDevices(
-            robot=robot, cameras={}, clock=lambda: world.time, truth=world.perceive, live=world.perceive
+            robot=robot,
+            cameras={},
+            clock=lambda: world.time,
+            truth=world.perceive,
+            live=world.perceive,
+            film=(lambda: Glimpse("side", np.full((8, 12, 3), 90, np.uint8), world.time),),
+            film_hz=4.0,
         )
 
 
@@ -98,6 +113,9 @@ def test_a_recording_of_this_version_is_replayed_the_same(
     assert [(e.kind, e.text, e.time) for e in again.events()] == [
         (e.kind, e.text, pytest.approx(e.time, abs=1e-6)) for e in first.events()
     ]
+    # The film answers nothing.
+    film = [time for time, _ in first.film("side")]
+    assert len(film) > 4 * 0.8 * first.duration and np.median(np.diff(film)) == pytest.approx(0.25, abs=0.021)
     # A replay can be replayed.
     assert [a.ask for _, a in again.answers()] == [a.ask for _, a in first.answers()]
     then, now = list(first.joints()), list(again.joints())
@@ -179,6 +197,13 @@ def test_settings_are_those_of_the_recording_unless_given_and_a_goal_is_refused(
         as_recorded(DeployConfig(goal="On(b1,b0)"), episode)
 
 
+def test_what_is_filmed_is_what_the_cameras_can_unless_told_otherwise() -> None:
+    devices = backends.Devices(robot=None, cameras={}, clock=lambda: 0.0, truth=None, film=(lambda: None,), film_hz=2.0)  # type: ignore[arg-type]
+    for wanted, hz in ((None, 2.0), (7.5, 7.5)):
+        assert film_of(DeployConfig(record_pictures=wanted), devices) == (devices.film, hz)
+    assert film_of(DeployConfig(record_pictures=0.0), devices)[0] == ()
+
+
 def test_the_task_is_that_of_the_recording(recorded: Path) -> None:
     episode, domain = read_episode(recorded), find_domain(DOMAIN)
     task = recorded_task(episode, domain)
@@ -227,6 +252,70 @@ def test_how_two_runs_ended_is_compared(
         assert found.verdict.startswith("same as recorded (")
 
 
+class Eye:
+    """A wrist camera that sees a drawn table from where the arm really is, with noise that JPEG would not keep."""
+
+    name = "wrist"
+
+    def __init__(self, robot: SimRobot) -> None:
+        self._robot, self._rng = robot, np.random.default_rng(0)
+        self.table = Table(RIG, Catalogue())
+        self.table.block("b0", 0.45, 0.05, FLOOR, 0.2, 0.060, 0.045)
+
+    def connect(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def capture(self) -> CameraFrame:
+        now = self._robot.state()
+        frame = self.table.picture(now.q)
+        noise = self._rng.integers(-3, 4, frame.colour.shape)
+        colour = np.clip(frame.colour.astype(int) + noise, 0, 255).astype(np.uint8)
+        return replace(frame, colour=colour, time=now.time)
+
+
+def test_a_scan_is_replayed_bit_by_bit_and_exchanged_pictures_are_not(tmp_path: Path) -> None:
+    """The whole way of a picture, from a camera over the recording to the belief, without a renderer."""
+    path = tmp_path / "e.mcap"
+    meta = EpisodeMeta.of(RIG, library_hash="", domain=DOMAIN, scenario="s1", goal="", seed=0, backend="sim")
+    world = SimWorld(scenes.scene({"b0": (0.0, 0.1)}), RIG)
+    with SimRobot(world) as robot, EpisodeWriter(path, meta) as writer:
+        recorder = Recorder(writer, lambda: world.time)
+        seeing = DeployedWorld(robot, {"wrist": Eye(robot)}, RIG, world.task.objects, witness=recorder)
+        seeing.stream.recorders.append(recorder.on_stream)
+        before = seeing.perceive()
+
+    def again(path: Path) -> State:
+        episode = read_episode(path)
+        with backends.open_replay(episode) as devices:
+            seeing = DeployedWorld(
+                devices.robot, devices.cameras, RIG, world.task.objects, stream=devices.stream, ready=devices.ready
+            )
+            return seeing.perceive()
+
+    assert again(path) == before
+    exchanged = tmp_path / "exchanged.mcap"
+    exchange(path, exchanged)
+    try:
+        after = again(exchanged)
+    except (Departure, PerceptionError):
+        return
+    assert after != before
+
+
+def exchange(path: Path, out: Path) -> None:
+    """The recording with the wrist's pictures in reverse order."""
+    records = list(read_whole(path).records)
+    named = {r.id: r.topic for r in records if isinstance(r, Channel)}
+    for kind in ("colour", "depth"):
+        topic = f"/camera/wrist/{kind}"
+        rows = [i for i, r in enumerate(records) if isinstance(r, Message) and named[r.channel_id] == topic]
+        data = [records[i].data for i in rows]
+        for i, other in zip(rows, reversed(data), strict=True):
+            records[i] = replace(records[i], data=other)
+    write_whole(records, out)
+
+
 @pytest.fixture(scope="module")
 def renderer() -> None:
     try:
@@ -249,17 +338,7 @@ def test_a_scan_is_replayed_bit_by_bit_and_an_exchanged_picture_is_a_departure(
         assert now == then
     exchanged = tmp_path / "exchanged" / path.name
     exchanged.parent.mkdir()
-    records = read_whole(path).records
-    named = {r.id: r.topic for r in records if isinstance(r, Channel)}
-    for kind in ("colour", "depth"):
-        rows = [
-            i for i, r in enumerate(records)
-            if isinstance(r, Message) and named[r.channel_id] == f"/camera/wrist/{kind}"
-        ]  # fmt: skip
-        data = [records[i].data for i in rows]
-        for i, other in zip(rows, reversed(data), strict=True):
-            records[i] = replace(records[i], data=other)
-    write_whole(records, exchanged)
+    exchange(path, exchanged)
     assert replayed(exchanged, library, tmp_path / "2")[0] == 3
     assert "departed at" in capsys.readouterr().out
 

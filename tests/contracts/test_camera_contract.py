@@ -19,11 +19,12 @@ from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Window
+from resync_robot.hardware.answers import Answers
 from resync_robot.hardware.base import Camera, FilmedCamera, RobotError, WindowedCamera
 from resync_robot.hardware.emulator.camera import EmulatedCamera
 from resync_robot.hardware.realsense import RealSense
 from resync_robot.hardware.realsense_device import load_pyrealsense2
-from resync_robot.hardware.replay import Answers, ReplayArm, ReplayCamera
+from resync_robot.hardware.replay import ReplayArm, ReplayCamera
 from resync_robot.hardware.sim import SimCamera
 from tests.hardware.software_camera import HEIGHT, WIDTH, SoftwareSource
 

@@ -11,9 +11,10 @@ from resync_robot.core.episode import Answer, Ask, EpisodeMeta, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig, load_rig
+from resync_robot.hardware.answers import Answers
 from resync_robot.hardware.base import Command, Motions, Robot, RobotState
 from resync_robot.hardware.emulator.arm import KinematicArm
-from resync_robot.hardware.replay import Answers, ReplayArm
+from resync_robot.hardware.replay import ReplayArm
 from resync_robot.hardware.sim import SimRobot
 from resync_robot.hardware.stream import Stream
 from resync_robot.hardware.travel import travel

@@ -17,11 +17,9 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.hardware.answers import Answers, Departure, RecordingOverError
 from resync_robot.hardware.base import Command, ProtectiveStopError, RobotError, RobotState
 from resync_robot.hardware.replay import (
-    Answers,
-    Departure,
-    RecordingOverError,
     ReplayArm,
     ReplayCamera,
     ReplayTruth,
