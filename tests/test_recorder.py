@@ -185,8 +185,8 @@ def test_a_silent_camera_holds_up_nothing_and_costs_nobody_elses_pictures(path: 
     s = Session(path, cameras=[silent, lambda: glimpse("side")], film_hz=10.0, live=True)
     command = Command(0.0, JointTarget(np.zeros(6), 0.1), JointTarget(np.zeros(6), 0.1))
 
-    def stream(count: int) -> None:
-        for i in range(count):
+    def stream(count: int, begin: int = 0) -> None:
+        for i in range(begin, begin + count):
             s.recorder.on_stream(RobotState(i, np.zeros(6), np.zeros(6), np.zeros(3), 0.09), command)
 
     stream(100)
@@ -194,7 +194,7 @@ def test_a_silent_camera_holds_up_nothing_and_costs_nobody_elses_pictures(path: 
     told.set()
     s.writer.flush()
     assert asked == 1, "the looks have not queued up behind it"
-    stream(1)
+    stream(1, begin=100)
     episode = s.read()
     assert s.writer.error is None and episode.damage is None
     assert len(list(episode.joints())) == 101
