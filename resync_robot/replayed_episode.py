@@ -110,8 +110,8 @@ def recorded_task(recording: Episode, domain: Domain) -> Task:
 class ReplayRecorder(Recorder):
     """Records a replay as any episode, and compares what is concluded and begun with what was then.
 
-    What is asked of the world is compared where it is answered, in `resync_robot.hardware.answers`; but who plans otherwise is told
-    so here, before the first target differs. Every method raises Departure.
+    What is asked of the world is compared where it is answered, in `resync_robot.hardware.answers`; but who plans
+    otherwise is told so here, before the first target differs. Every method raises Departure.
     """
 
     def compare_with(self, recording: Episode, answers: Answers) -> None:
