@@ -21,8 +21,9 @@ from resync_robot.core.files import unwritable, write_bytes
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.kinematics import ALPHA, Kinematics
 from resync_robot.core.machines import ARMS
+from resync_robot.core.robot_description import PALM
+from resync_robot.core.solids import boxes
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.core.world import CameraFrame
 
@@ -31,7 +32,6 @@ POSE_HZ = 25.0
 SIGMAS = 2.0
 """Half axes of the uncertainty ellipsoids, in standard deviations."""
 LINK_RADII = (0.06, 0.055, 0.05, 0.045, 0.045, 0.04)
-PALM = (0.075, 0.12, 0.1)
 
 STEEL, DARK, DOUBT, BACKGROUND = (150, 165, 180), (60, 65, 70), (220, 60, 160, 90), (24, 27, 32)
 CURVES = {"requested": (120, 120, 120), "sent": (240, 150, 40), "measured": (80, 170, 240)}
@@ -273,7 +273,7 @@ def _draw_states(states: Iterator[tuple[float, State]], recording: rr.RecordingS
             entity = f"{root}/{obj.name}"
             features = state[obj]
             recording.log(entity, _pose(spatial.pose_from_features(features[:7])))
-            centers, half_sizes = _boxes(obj, features)
+            centers, half_sizes = boxes(obj, features)
             body = rr.Boxes3D(
                 centers=centers, half_sizes=half_sizes, colors=look.colour, radii=look.line,
                 labels=[obj.name], show_labels=look.labelled and obj.type == BLOCK,
@@ -282,20 +282,6 @@ def _draw_states(states: Iterator[tuple[float, State]], recording: rr.RecordingS
             covariance = state.covariance(obj)
             if covariance is not None:
                 recording.log(f"{root}_uncertainty/{obj.name}", _ellipsoid(features[:3], covariance[:3, :3]))
-
-
-def _boxes(obj: Object, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centres and half sizes (n, 3) in the object's frame: one for a block, floor and walls for a box."""
-    if obj.type == BLOCK:
-        return np.zeros((1, 3)), features[None, 7:10] / 2
-    inner_x, inner_y, wall_z, thick = features[7:11]
-    outer_x, outer_y = inner_x + 2 * thick, inner_y + 2 * thick
-    floor = 0.002
-    slabs = [((0, 0, -floor), (outer_x / 2, outer_y / 2, floor))]
-    for sign in (1, -1):
-        slabs.append(((sign * (inner_x + thick) / 2, 0, wall_z / 2), (thick / 2, outer_y / 2, wall_z / 2)))
-        slabs.append(((0, sign * (inner_y + thick) / 2, wall_z / 2), (inner_x / 2, thick / 2, wall_z / 2)))
-    return np.array([s[0] for s in slabs]), np.array([s[1] for s in slabs])
 
 
 def _ellipsoid(center: np.ndarray, covariance: np.ndarray) -> rr.Ellipsoids3D:

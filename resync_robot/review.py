@@ -30,7 +30,8 @@ class ReviewConfig:
     """Write this .rrd file instead of opening the viewer; needs no display. Default: open the viewer."""
 
     mend: Given[Path] = None
-    """Write what is whole of a damaged recording to this .mcap file, which every program opens, and do nothing else."""
+    """Write what is whole of a recording, damaged or of an earlier version, to this .mcap file, which Foxglove, Rerun
+    and the tools of ROS 2 open, and do nothing else."""
 
 
 def review(config: ReviewConfig) -> None:

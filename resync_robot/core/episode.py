@@ -16,11 +16,13 @@
 | /camera/NAME/{colour,depth} | sensor_msgs/CompressedImage: PNG, and 16-bit PNG (unit 1e-4 m, 0 = nothing) |
 | /camera/NAME/window | the same as PNG: the parts that a skill looked at while it moved |
 | /camera/NAME/film | the same as JPEG: what the camera saw while nobody asked, for people |
-| /points | sensor_msgs/PointCloud2: fused cloud in the world, x y z in m, r g b |
+| /points | sensor_msgs/PointCloud2: fused cloud in the world, x y z in m, rgb |
 
-JSON but for the last four. The same once more as messages of ROS 2, for Foxglove, Rerun and whatever else reads them:
-/joint_states, /joint_commands, /tf, /wrench, /camera/NAME/{camera_info,depth_mm}, /plan_text, /atoms_text, /rosout,
-/latency.
+All are messages of ROS 2, so that rosbag2 and its relatives open the file as it is: all but the last four a
+std_msgs/String of JSON, whose schema stands in the channel's `json_schema`. For Foxglove, RViz and Rerun the same once
+more as they draw it: /robot_description and /tf_static (both latched), /joint_states, /joint_commands, /tf, /wrench,
+/belief_markers, /truth_markers, /camera/NAME/{camera_info,depth_mm}, /plan_text, /atoms_text, /rosout, /latency.
+`core.robot_description` has the tree of their frames.
 
 Times are seconds from the beginning of the episode. The file has them as ns of the wall clock, so that recordings lie
 beside other logs of that day; the date of the beginning is in /meta and nowhere else. `core.episode_writer` writes such
@@ -52,22 +54,21 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import TYPES
 
-FORMAT = 3
-"""1 had pictures as plain JPEG, and nothing of ROS 2; in 2 no date was told, and times in the file began at 0."""
-READABLE = (2, 3)
+FORMAT = 4
+"""1 had pictures as plain JPEG, and nothing of ROS 2; in 2 no date was told, and times in the file began at 0; up to 3
+JSON stood in the file as such, and each camera and joint had a frame in the world."""
+READABLE = (2, 3, 4)
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MOST = 8
 """Spans of missing seconds that a message tells one by one."""
 FRAMES = {
     "world": "z up, origin on the table; world_T_base in the rig places the arm",
     "base": "Denavit-Hartenberg base of the arm",
-    "flange": "last DH frame; the gripper closes along its y, the tips lie along its z",
-    "cam": "OpenCV axes: x right, y down, z forward",
+    "flange": "last DH frame, tool0 in ROS; the gripper closes along its y, the tips lie along its z",
+    "cam": "OpenCV axes: x right, y down, z forward; camera_NAME_optical_frame in ROS",
     "quaternions": "w x y z",
     "joints": list(ARM_JOINTS),
 }
-# One point of a cloud in the file, as `ros_messages.point_cloud` tells viewers.
-POINT = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 
 
 class EventKind(Enum):
@@ -262,7 +263,7 @@ def read_episode(path: Path, unbroken: bool = False) -> Episode:
 
 
 def mend_episode(path: Path, out: Path) -> Episode:
-    """Copy what is whole of a damaged recording to `out`, which every reader takes.
+    """Copy what is whole of a recording to `out`, which every reader takes, of ROS 2 too.
 
     Returns:
         The recording as it was found: `damage` and `missing` are what the copy is without.
@@ -446,8 +447,8 @@ class Episode:
     def points(self) -> Iterator[Points]:
         for time, message in self.messages.get("/points", ()):
             with self._sense("/points", time):
-                cloud = np.frombuffer(ros_messages.cloud_data(message), POINT)
-            yield Points(time, cloud["xyz"], cloud["rgb"])
+                xyz, rgb = ros_messages.cloud_points(message)
+            yield Points(time, xyz, rgb)
 
     def _read(self, topic: str) -> Iterator[tuple[float, dict[str, Any]]]:
         for time, data in self.messages.get(topic, ()):
@@ -486,8 +487,9 @@ class _Sense:
 
 
 def _parse(path: Path, topic: str, data: bytes) -> dict[str, Any]:
+    """The JSON in a String, or as it stood in the file up to format 3."""
     try:
-        content = json.loads(data)
+        content = json.loads(ros_messages.text_data(data) if ros_messages.is_packed(data) else data)
     except (ValueError, RecursionError):
         content = None
     if not isinstance(content, dict):

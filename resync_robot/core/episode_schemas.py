@@ -1,4 +1,4 @@
-"""JSON schemas of a recording's messages, by the last part of their channel's name."""
+"""JSON schemas of a recording's texts, by the last part of their channel's name."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
-"""Writing an episode: one MCAP file, channels as listed in `core.episode`.
+"""Writing an episode: one MCAP file, channels as listed in `core.episode`, every message one of ROS 2.
 
-JSON messages carry a JSON schema, pictures, points and what is there for viewers the definitions of ROS 2.
 A thread of its own packs and writes, so that a slow disk never holds up a robot. Chunks are small and closed every
 second of the episode, so that a killed process loses about a second.
 """
@@ -21,22 +20,26 @@ from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from mcap.writer import CompressionType, Writer
 
 from resync_robot.core import ros_messages
-from resync_robot.core.episode import FORMAT, POINT, Answer, EpisodeMeta, EventKind, Timing, plain
+from resync_robot.core.episode import FORMAT, Answer, EpisodeMeta, EventKind, Timing, plain
 from resync_robot.core.episode_schemas import SCHEMAS
 from resync_robot.core.errors import DiskError, EpisodeError, ResyncError
 from resync_robot.core.files import disk_fault, unwritable
-from resync_robot.core.joints import ARM_JOINTS, JointTarget
-from resync_robot.core.machines import ARMS
-from resync_robot.core.mcap_file import CHUNK_BYTES
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.mcap_file import STRING, begin_file, offer
+from resync_robot.core.robot_description import JOINTS, WORLD, RobotDescription, camera_frame
+from resync_robot.core.ros_definitions import DEFINITIONS
+from resync_robot.core.solids import scene_markers
 from resync_robot.core.state import State
 from resync_robot.core.world import CameraFrame
 
 FLUSH_S = 1.0
 MOST_WAITING = 20_000
 """Messages in memory at which the disk is given up as too slow; minutes of them."""
+LATCHED = ("/meta", "/robot_description", "/tf_static")
+BELIEF, TRUTH = (0.94, 0.59, 0.16, 0.8), (0.24, 0.71, 0.35, 1.0)
+"""Colours of what is believed, orange and solid, and of what is true, green and outlined."""
 LEVELS = {EventKind.STOP: 40, EventKind.GIVE_UP: 40, EventKind.MAY_MOVE: 40, EventKind.REPLAN: 30}
 _log = logging.getLogger(__name__)
 
@@ -76,15 +79,14 @@ class EpisodeWriter:
             raise EpisodeError(
                 f"{path} exists already; recordings are never overwritten", "give another name"
             ) from None
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library="resync-robot")
-        self._began_ns, arm = meta.began_ns, meta.rig["arm"]
-        self._arm = arm["world_T_base"], meta.rig["gripper"]["tip_offset"], ARMS[arm["model"]].kinematics
+        self._writer = begin_file(self._file)
+        self._began_ns, self._robot = meta.began_ns, RobotDescription(meta.rig)
+        self._frames = {child for _, child, _ in self._robot.fixed}
         self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._thread.start()
         self._meta = {"format": FORMAT, **{f.name: getattr(meta, f.name) for f in fields(meta)}}
-        self._json("/meta", 0.0, self._meta, flush=True)
+        self._describe(0.0)
 
     def joints(
         self,
@@ -107,7 +109,10 @@ class EpisodeWriter:
             "requested_opening": requested.opening,
         }
         self._json("/joints", time, content)
-        q, qd, command = np.array([*measured, opening]), np.array([*velocity, 0.0]), np.array([*sent.arm, sent.opening])
+        # Each finger makes half of the opening; how fast, nobody measures.
+        q = np.array([*measured, opening / 2, opening / 2])
+        command = np.array([*sent.arm, sent.opening / 2, sent.opening / 2])
+        qd = np.array([*velocity, math.nan, math.nan])
         self.defer(lambda: self._draw_joints(time, q, qd, command))
 
     def tip_force(self, time: float, force: Float[np.ndarray, "3"]) -> None:
@@ -118,18 +123,20 @@ class EpisodeWriter:
             "/wrench",
             "geometry_msgs/msg/WrenchStamped",
             time,
-            partial(ros_messages.wrench, self._stamp(time), "world", force),
+            partial(ros_messages.wrench, self._stamp(time), WORLD, force),
         )
 
     def state(self, time: float, state: State) -> None:
         """The belief about the objects."""
         time = self._since(time)
         self._json("/state", time, {"objects": state.to_json()})
+        self.defer(lambda: self._draw_scene("/belief_markers", time, state, BELIEF, outlined=False))
 
     def truth(self, time: float, state: State) -> None:
         """What a simulator knows about the objects; for comparison only."""
         time = self._since(time)
         self._json("/truth", time, {"objects": state.to_json()})
+        self.defer(lambda: self._draw_scene("/truth_markers", time, state, TRUTH, outlined=True))
 
     def atoms(self, time: float, atoms: Mapping[Any, float]) -> None:
         """Atoms, or their texts, with the probability that each holds."""
@@ -183,18 +190,17 @@ class EpisodeWriter:
             "height": height,
             "depth_unit_m": CameraFrame.DEPTH_UNIT_M,
         }
-        root, where, time = f"/camera/{frame.name}", f"camera_{frame.name}", self._since(frame.time)
+        root, where, time = f"/camera/{frame.name}", camera_frame(frame.name), self._since(frame.time)
         stamp = self._stamp(time)
         self._json(f"{root}/info", time, info)
 
         def draw() -> None:
+            if where not in self._frames:
+                # A camera that the rig does not name stands where it stood when it took its first picture.
+                self._frames.add(where)
+                self._place(time, [(WORLD, where, frame.world_T_cam)])
             millimetres = np.round(frame.depth * (1000 * CameraFrame.DEPTH_UNIT_M)).astype(np.uint16)
             for topic, kind, data in (
-                (
-                    "/tf",
-                    "tf2_msgs/msg/TFMessage",
-                    ros_messages.transforms(stamp, [("world", where, frame.world_T_cam)]),
-                ),
                 (
                     f"{root}/camera_info",
                     "sensor_msgs/msg/CameraInfo",
@@ -226,20 +232,14 @@ class EpisodeWriter:
 
     def _image(self, kind: str, camera: str, time: float, data: bytes) -> None:
         time = self._since(time)
-        pack = partial(ros_messages.compressed_image, self._stamp(time), f"camera_{camera}", _format(data), data)
+        pack = partial(ros_messages.compressed_image, self._stamp(time), camera_frame(camera), _format(data), data)
         self._ros(f"/camera/{camera}/{kind}", "sensor_msgs/msg/CompressedImage", time, pack)
 
     def points(self, time: float, xyz: Float[np.ndarray, "n 3"], rgb: UInt8[np.ndarray, "n 3"]) -> None:
-        """A point cloud in the world frame, m; thin it before (10,000 points are 150 kB)."""
+        """A point cloud in the world frame, m; thin it before (10,000 points are 160 kB)."""
         time = self._since(time)
-        cloud = np.empty(len(xyz), POINT)
-        cloud["xyz"], cloud["rgb"] = xyz, rgb
-        self._ros(
-            "/points",
-            "sensor_msgs/msg/PointCloud2",
-            time,
-            partial(ros_messages.point_cloud, self._stamp(time), "world", cloud),
-        )
+        pack = partial(ros_messages.point_cloud, self._stamp(time), WORLD, np.array(xyz), np.array(rgb))
+        self._ros("/points", "sensor_msgs/msg/PointCloud2", time, pack)
 
     def defer(self, job: Callable[[], None]) -> None:
         """Run `job` on the recording's own thread, after all that was written before; it may write itself.
@@ -274,7 +274,7 @@ class EpisodeWriter:
         if self._closed:
             return
         # Once more, so that a recording damaged at its start still says what it is about.
-        self.defer(lambda: self._json("/meta", self._latest, self._meta))
+        self.defer(lambda: self._describe(self._latest))
         self._closed = True
         self._jobs.put(None)
         self._thread.join()
@@ -314,29 +314,41 @@ class EpisodeWriter:
     def _json(self, topic: str, time: float, content: Mapping[str, Any], flush: bool = False) -> None:
         # A copy: what the caller gave may change before the thread comes to it.
         copy = plain(content)
-        self.defer(lambda: self._write(topic, "json", time, json.dumps(copy, allow_nan=False).encode(), flush))
+
+        def write() -> None:
+            text = ros_messages.string(json.dumps(copy, allow_nan=False))
+            self._write(topic, STRING, time, text, flush)
+
+        self.defer(write)
 
     def _ros(self, topic: str, kind: str, time: float, pack: Callable[[], bytes]) -> None:
         self.defer(lambda: self._write(topic, kind, time, pack()))
 
+    def _describe(self, time: float) -> None:
+        """What the episode is about, and the robot in it."""
+        self._json("/meta", time, self._meta, flush=True)
+        self._ros("/robot_description", STRING, time, partial(ros_messages.string, self._robot.urdf))
+        self.defer(lambda: self._place(time, self._robot.fixed))
+
+    def _place(self, time: float, poses: list[tuple[str, str, np.ndarray]]) -> None:
+        """Frames that do not move."""
+        self._write("/tf_static", "tf2_msgs/msg/TFMessage", time, ros_messages.transforms(self._stamp(time), poses))
+
     def _draw_joints(self, time: float, q: np.ndarray, qd: np.ndarray, command: np.ndarray) -> None:
         """For viewers: measured and commanded joints, and where the links are."""
-        names, stamp = (*ARM_JOINTS, "opening"), self._stamp(time)
-        kind = "sensor_msgs/msg/JointState"
-        self._write("/joint_states", kind, time, ros_messages.joint_state(stamp, names, q, qd))
-        self._write("/joint_commands", kind, time, ros_messages.joint_state(stamp, names, command, np.empty(0)))
-        if not np.isfinite(q[:6]).all():
-            return
-        world_T_base, tip_offset, kinematics = np.asarray(self._arm[0]), *self._arm[1:]
-        frames = world_T_base @ kinematics.link_frames(q[:6])
-        tip = frames[-1].copy()
-        tip[:3, 3] += tip_offset * tip[:3, 2]
-        poses = [("world", "base", world_T_base), *(("world", j, f) for j, f in zip(ARM_JOINTS, frames, strict=True))]
-        tree = ros_messages.transforms(stamp, [*poses, ("world", "tip", tip)])
-        self._write("/tf", "tf2_msgs/msg/TFMessage", time, tree)
+        kind, stamp = "sensor_msgs/msg/JointState", self._stamp(time)
+        self._write("/joint_states", kind, time, ros_messages.joint_state(stamp, JOINTS, q, qd))
+        self._write("/joint_commands", kind, time, ros_messages.joint_state(stamp, JOINTS, command, np.empty(0)))
+        self._write("/tf", "tf2_msgs/msg/TFMessage", time, ros_messages.transforms(stamp, self._robot.moving(q)))
+
+    def _draw_scene(
+        self, topic: str, time: float, state: State, colour: tuple[float, float, float, float], outlined: bool
+    ) -> None:
+        shown = ros_messages.markers(self._stamp(time), WORLD, scene_markers(state, colour, outlined))
+        self._write(topic, "visualization_msgs/msg/MarkerArray", time, shown)
 
     def _write(self, topic: str, kind: str, time: float, data: bytes, flush: bool = False) -> None:
-        """On the recording's thread. `kind` is json or a message of ROS 2; Rerun opens no file with any other."""
+        """On the recording's thread. `kind` is a message of ROS 2."""
         if self.error is not None:
             return
         if topic not in self._channels:
@@ -349,16 +361,12 @@ class EpisodeWriter:
             self._last_flush = time
 
     def _register(self, topic: str, kind: str) -> int:
-        if kind == "json":
-            name = topic.rsplit("/", 1)[-1]
-            schema = self._writer.register_schema(
-                f"resync_robot.{name}", "jsonschema", json.dumps(SCHEMAS[name]).encode()
-            )
-            return self._writer.register_channel(topic, "json", schema)
         if kind not in self._schemas:
-            definition = ros_messages.DEFINITIONS[kind].encode()
-            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition)
-        return self._writer.register_channel(topic, "cdr", self._schemas[kind])
+            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", DEFINITIONS[kind].encode())
+        about, name = offer(topic in LATCHED), topic.rsplit("/", 1)[-1]
+        if kind == STRING and name in SCHEMAS:
+            about["json_schema"] = json.dumps(SCHEMAS[name])
+        return self._writer.register_channel(topic, "cdr", self._schemas[kind], about)
 
     def _fail(self, error: Exception) -> None:
         if self.error is not None:

@@ -1,31 +1,58 @@
-"""The messages of ROS 2 that a recording holds for viewers, packed as ROS 2 packs them (CDR, little-endian).
+"""The messages of ROS 2 that a recording holds, packed as ROS 2 packs them (CDR, little-endian).
 
-Written here because a viewer needs no more than these few, and the library that packs any message has no way to close
-a chunk in between, which is what a killed process leaves behind. Each function gives the bytes of one message, its
-`stamp` in ns since the epoch: a float of seconds would round it. `DEFINITIONS` has what a reader needs to unpack them.
+Written here because a recording needs no more than these few, and the library that packs any message has no way to
+close a chunk in between, which is what a killed process leaves behind. Each function gives the bytes of one message,
+its `stamp` in ns since the epoch: a float of seconds would round it. `ros_definitions` has what a reader needs to
+unpack them.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt16
+from jaxtyping import Float, UInt8, UInt16
 
 from resync_robot.core import spatial
 
 _HEAD = b"\x00\x01\x00\x00"
 """Plain CDR, little-endian."""
-_FLOAT, _BYTE = 7, 2
-_CLOUD_FIELDS = (
-    ("x", 0, _FLOAT),
-    ("y", 4, _FLOAT),
-    ("z", 8, _FLOAT),
-    ("r", 12, _BYTE),
-    ("g", 13, _BYTE),
-    ("b", 14, _BYTE),
-)
+_FLOAT = 7
+_POINT = np.dtype(
+    {"names": ["xyz", "bgr"], "formats": [("<f4", 3), ("u1", 3)], "offsets": [0, 12], "itemsize": 16}
+)  # fmt: skip
+"""A point as every tool of ROS takes it: its colour is packed into the bits of one more number, `rgb`."""
+_LOOSE_POINT = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
+"""As recordings up to format 3 have it: fields x y z r g b."""
+_CUBE, _LINES, _TEXT = 1, 5, 9
+_ADD, _DELETE_ALL = 0, 3
+OUTLINE = 0.0015
+"""m; width of the lines of a marker that is only outlined."""
+_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_EDGES = [(i, j) for i in range(8) for j in range(i) if np.abs(_CORNERS[i] - _CORNERS[j]).sum() == 1.0]
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A box, or a word, in a picture of the scene.
+
+    Attributes:
+        name: of the thing that it belongs to; of one thing, `number` tells the markers apart.
+        pose: (4, 4) of its middle; size: (3,) m, of a word its height comes last.
+        colour: red, green, blue and opacity, 0 to 1.
+        outlined: only its edges.
+        text: the word; empty for a box.
+    """
+
+    name: str
+    number: int
+    pose: Float[np.ndarray, "4 4"]
+    size: Float[np.ndarray, "3"]
+    colour: tuple[float, float, float, float]
+    outlined: bool = False
+    text: str = ""
 
 
 class _Packer:
@@ -48,8 +75,8 @@ class _Packer:
         self._data += data
         return self
 
-    def text(self, text: str) -> _Packer:
-        return self.blob(text.encode() + b"\0")
+    def text(self, text: str | bytes) -> _Packer:
+        return self.blob((text if isinstance(text, bytes) else text.encode()) + b"\0")
 
     def header(self, stamp: int, frame: str) -> _Packer:
         return self.stamp(stamp).text(frame)
@@ -62,7 +89,7 @@ class _Packer:
 
 
 def joint_state(stamp: int, names: Sequence[str], position: np.ndarray, velocity: np.ndarray) -> bytes:
-    """sensor_msgs/msg/JointState: rad and rad/s of a joint, m of an opening."""
+    """sensor_msgs/msg/JointState: rad and rad/s of a joint that turns, m and m/s of one that slides."""
     packer = _Packer().header(stamp, "").numbers("I", len(names))
     for name in names:
         packer.text(name)
@@ -104,17 +131,41 @@ def depth_image(stamp: int, frame: str, millimetres: UInt16[np.ndarray, "h w"]) 
     return packer.blob(millimetres.astype("<u2").tobytes()).message()
 
 
-def point_cloud(stamp: int, frame: str, points: np.ndarray) -> bytes:
-    """sensor_msgs/msg/PointCloud2 of `core.episode.POINT`s: x y z in m, r g b of 255."""
-    packer = _Packer().header(stamp, frame).numbers("I", 1, len(points), len(_CLOUD_FIELDS))
-    for name, offset, kind in _CLOUD_FIELDS:
-        packer.text(name).numbers("I", offset).numbers("B", kind).numbers("I", 1)
+def point_cloud(stamp: int, frame: str, xyz: Float[np.ndarray, "n 3"], rgb: UInt8[np.ndarray, "n 3"]) -> bytes:
+    """sensor_msgs/msg/PointCloud2: m, and colours of 255."""
+    points = np.zeros(len(xyz), _POINT)
+    points["xyz"], points["bgr"] = xyz, rgb[:, ::-1]
+    packer = _Packer().header(stamp, frame).numbers("I", 1, len(points), 4)
+    for i, name in enumerate(("x", "y", "z", "rgb")):
+        packer.text(name).numbers("I", 4 * i).numbers("B", _FLOAT).numbers("I", 1)
     packer.numbers("B", 0).numbers("I", points.itemsize, points.nbytes)
     return packer.blob(points.tobytes()).numbers("B", 1).message()
 
 
-def string(text: str) -> bytes:
-    """std_msgs/msg/String."""
+def markers(stamp: int, frame: str, shown: Sequence[Marker]) -> bytes:
+    """visualization_msgs/msg/MarkerArray: these, in place of all that were there."""
+    nowhere = Marker("", 0, np.eye(4), np.ones(3), (0.0, 0.0, 0.0, 0.0))
+    packer = _Packer().numbers("I", 1 + len(shown))
+    for marker, action in ((nowhere, _DELETE_ALL), *((marker, _ADD) for marker in shown)):
+        kind = _TEXT if marker.text else _LINES if marker.outlined else _CUBE
+        packer.header(stamp, frame).text(marker.name).numbers("i", marker.number, kind, action)
+        w, *xyz = spatial.quat_from_matrix(marker.pose[:3, :3])
+        packer.numbers("d", *marker.pose[:3, 3], *xyz, w)
+        packer.numbers("d", *((OUTLINE, 0.0, 0.0) if marker.outlined else marker.size)).numbers("f", *marker.colour)
+        # For ever; not moving with its frame.
+        packer.numbers("i", 0).numbers("I", 0).numbers("B", 0)
+        edges = (_CORNERS * marker.size)[_EDGES].reshape(-1) if marker.outlined else np.empty(0)
+        packer.numbers("I", len(edges) // 3)
+        if len(edges):
+            packer.numbers("d", *edges)
+        # Neither colours of their own, nor a texture, an empty picture with its coordinates, nor a mesh.
+        packer.numbers("I", 0).text("").header(0, "").text("").blob(b"").numbers("I", 0)
+        packer.text(marker.text).text("").text("").blob(b"").numbers("B", 0)
+    return packer.message()
+
+
+def string(text: str | bytes) -> bytes:
+    """std_msgs/msg/String; bytes are taken for UTF-8."""
     return _Packer().text(text).message()
 
 
@@ -165,12 +216,26 @@ def image_data(message: bytes) -> bytes:
     return unpacker.blob()
 
 
-def cloud_data(message: bytes) -> bytes:
-    """The bytes of the points in a PointCloud2 like ours. Raises ValueError where the message is none."""
+def text_data(message: bytes) -> bytes:
+    """The text in a String, as UTF-8. Raises ValueError where the message is none."""
+    return _Unpacker(message).blob().removesuffix(b"\0")
+
+
+def is_packed(message: bytes) -> bool:
+    """Whether it may be a message of ROS 2 at all; no JSON text begins like one."""
+    return message.startswith(_HEAD)
+
+
+def cloud_points(message: bytes) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+    """Places in m and colours in a PointCloud2 like ours, of now or up to format 3.
+
+    Raises:
+        ValueError: the message is none.
+    """
     unpacker = _Unpacker(message)
     unpacker.header()
-    _, points, fields = (unpacker.number("I") for _ in range(3))
-    if fields != len(_CLOUD_FIELDS):
+    _, count, fields = (unpacker.number("I") for _ in range(3))
+    if fields not in (4, 6):
         raise ValueError(f"its points have {fields} fields")
     for _ in range(fields):
         unpacker.blob()
@@ -178,51 +243,8 @@ def cloud_data(message: bytes) -> bytes:
             unpacker.number(kind)
     unpacker.number("B")
     step, _ = unpacker.number("I"), unpacker.number("I")
-    data = unpacker.blob()
-    if len(data) != points * step:
+    data, point = unpacker.blob(), _POINT if fields == 4 else _LOOSE_POINT
+    if step != point.itemsize or len(data) != count * step:
         raise ValueError("it has no whole number of points")
-    return data
-
-
-_SEPARATOR = "=" * 80
-_TIME = f"{_SEPARATOR}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-_HEADER = f"{_SEPARATOR}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{_TIME}"
-_VECTOR = f"{_SEPARATOR}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
-DEFINITIONS = {
-    "sensor_msgs/msg/JointState": (
-        f"std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n{_HEADER}"
-    ),
-    "tf2_msgs/msg/TFMessage": (
-        f"geometry_msgs/TransformStamped[] transforms\n{_SEPARATOR}\nMSG: geometry_msgs/TransformStamped\n"
-        f"std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n{_SEPARATOR}\n"
-        f"MSG: geometry_msgs/Transform\ngeometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n{_VECTOR}"
-        f"{_SEPARATOR}\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n{_HEADER}"
-    ),
-    "geometry_msgs/msg/WrenchStamped": (
-        f"std_msgs/Header header\ngeometry_msgs/Wrench wrench\n{_SEPARATOR}\nMSG: geometry_msgs/Wrench\n"
-        f"geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n{_VECTOR}{_HEADER}"
-    ),
-    "sensor_msgs/msg/CameraInfo": (
-        "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
-        "float64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\nsensor_msgs/RegionOfInterest roi\n"
-        f"{_SEPARATOR}\nMSG: sensor_msgs/RegionOfInterest\nuint32 x_offset\nuint32 y_offset\nuint32 height\n"
-        f"uint32 width\nbool do_rectify\n{_HEADER}"
-    ),
-    "sensor_msgs/msg/CompressedImage": f"std_msgs/Header header\nstring format\nuint8[] data\n{_HEADER}",
-    "sensor_msgs/msg/Image": (
-        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n"
-        f"uint8[] data\n{_HEADER}"
-    ),
-    "sensor_msgs/msg/PointCloud2": (
-        "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n"
-        f"uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n{_SEPARATOR}\nMSG: sensor_msgs/PointField\n"
-        f"string name\nuint32 offset\nuint8 datatype\nuint32 count\n{_HEADER}"
-    ),
-    "std_msgs/msg/String": "string data\n",
-    "std_msgs/msg/Float64": "float64 data\n",
-    "rcl_interfaces/msg/Log": (
-        "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
-        f"uint32 line\n{_TIME}"
-    ),
-}
-"""Name of a message -> its fields, and those of the messages in it, as ROS 2 writes them into recordings."""
+    points = np.frombuffer(data, point)
+    return points["xyz"], points["bgr"][:, ::-1] if fields == 4 else points["rgb"]

@@ -29,9 +29,10 @@ from resync_robot.core.world import CameraFrame
 
 SIX = np.linspace(-1, 1, 6)
 VIEWED = (
-    "/joint_states", "/joint_commands", "/tf", "/wrench", "/plan_text", "/atoms_text", "/rosout", "/latency",
-    "/camera/wrist/camera_info", "/camera/wrist/colour", "/camera/wrist/depth", "/camera/wrist/depth_mm",
-    "/camera/wrist/window", "/camera/wrist/film", "/points",
+    "/robot_description", "/tf_static", "/joint_states", "/joint_commands", "/tf", "/wrench", "/plan_text",
+    "/atoms_text", "/rosout", "/latency", "/belief_markers", "/truth_markers", "/camera/wrist/camera_info",
+    "/camera/wrist/colour", "/camera/wrist/depth", "/camera/wrist/depth_mm", "/camera/wrist/window",
+    "/camera/wrist/film", "/points",
 )  # fmt: skip
 """The channels for viewers."""
 
@@ -63,7 +64,7 @@ def write(path, seconds: float = 3.0, begin: float = 0.0) -> None:
                 writer.atoms(t, {"On(b0, b1)": 0.25, "HandEmpty(r)": 1.0})
                 writer.plan(t, ["Pick(r, b0)", "Insert(r, b0, b1)"], k // 50, "first")
                 xyz = rng.normal(size=(200, 3)).astype(np.float32)
-                writer.points(t, xyz, np.full((200, 3), 7, np.uint8))
+                writer.points(t, xyz, np.tile(np.array([7, 8, 9], np.uint8), (200, 1)))
                 frame = CameraFrame(
                     "wrist", np.zeros((4, 6, 3), np.uint8), np.zeros((4, 6), np.uint16), np.eye(3) * 2, np.eye(4), t
                 )
@@ -116,7 +117,7 @@ def test_round_trip(tmp_path):
     assert list(episode.film("wrist"))[1] == (1.0, b"\xff\xd8jpeg")
     assert list(episode.timings())[1] == Timing(0.92, 0.99, 1.0, 0.002)
     cloud = next(iter(episode.points()))
-    assert cloud.xyz.shape == (200, 3) and cloud.xyz.dtype == np.float32 and (cloud.rgb == 7).all()
+    assert cloud.xyz.shape == (200, 3) and cloud.xyz.dtype == np.float32 and (cloud.rgb == [7, 8, 9]).all()
 
 
 def test_what_the_executive_was_told_keeps_every_bit_and_the_robots_own_clock(tmp_path):
@@ -169,10 +170,10 @@ def test_messages_are_standard_mcap_with_schemas(tmp_path):
         "/meta", "/joints", "/tip_force", "/state", "/truth", "/atoms", "/plan", "/event",
         "/timing", "/camera/wrist/info", *VIEWED,
     }  # fmt: skip
-    schema = summary.schemas[channels["/joints"].schema_id]
-    assert schema.encoding == "jsonschema" and "measured" in json.loads(schema.data)["required"]
-    assert {channels[topic].message_encoding for topic in VIEWED} == {"cdr"}
-    assert {summary.schemas[channels[topic].schema_id].encoding for topic in VIEWED} == {"ros2msg"}
+    assert "measured" in json.loads(channels["/joints"].metadata["json_schema"])["required"]
+    assert {topic for topic, c in channels.items() if "json_schema" in c.metadata} == channels.keys() - set(VIEWED)
+    assert {channel.message_encoding for channel in channels.values()} == {"cdr"}
+    assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
 
 
 def test_the_file_has_the_date_and_the_episode_counts_from_zero(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 
-from resync_robot.core import mcap_file
+from resync_robot.core import mcap_file, ros_messages
 from resync_robot.core.mcap_file import read_whole, write_whole
 
 
@@ -37,11 +37,26 @@ def test_records_of_what_nobody_declared_are_left_out(tmp_path: Path) -> None:
     path = tmp_path / "whole.mcap"
     write_whole(ALTERED, path)
     with path.open("rb") as file:
-        seen = [(c.topic, m.data) for _, c, m in make_reader(file).iter_messages()]
+        reader = make_reader(file)
+        seen = [(c.topic, ros_messages.text_data(m.data)) for _, c, m in reader.iter_messages()]
+        summary = reader.get_summary()
     assert seen == [("/c1", b"one"), ("/c1", b"two"), ("/c2", b"three")]
-    again = read_whole(path)
-    assert again.damage is None
-    assert sum(isinstance(r, Schema) for r in again.records) == 2, "declared once, and once in the summary"
+    assert summary is not None and {c.message_encoding for c in summary.channels.values()} == {"cdr"}
+    assert read_whole(path).damage is None
+
+
+def test_the_profile_promises_no_more_than_the_file_keeps(tmp_path: Path) -> None:
+    strange = Channel(id=4, topic="/c4", message_encoding="protobuf", metadata={"a": "b"}, schema_id=0)
+    for name, records in (("ours", ALTERED), ("strange", [*ALTERED, strange, message(4, b"four")])):
+        write_whole(records, tmp_path / name)
+        with (tmp_path / name).open("rb") as file:
+            reader = make_reader(file)
+            summary = reader.get_summary()
+            assert reader.get_header().profile == ("ros2" if name == "ours" else "")
+            assert [m.name for m in reader.iter_metadata()] == ["rosbag2"]
+        assert summary is not None
+        assert all("durability: 2" in c.metadata["offered_qos_profiles"] for c in summary.channels.values())
+    assert {c.metadata.get("a") for c in summary.channels.values()} == {None, "b"}
 
 
 def test_what_cannot_be_written_is_not_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
