@@ -91,7 +91,8 @@ def _mend(torn: Path, out: Path) -> None:
 
     found = mend_episode(torn, out)
     say(f"{torn}: {found.loss or 'nothing is wrong with it'}.")
-    say(f"{out} holds all that is whole, {found.duration:.1f} s long. Review:  resync-robot review {out}")
+    say(f"{out} holds all that is whole, {found.duration:.1f} s, in messages of ROS 2.")
+    say(f"Review:  resync-robot review {out}")
 
 
 def _has_display() -> bool:
