@@ -76,7 +76,7 @@ class Clearance:
         reach = rig.gripper.tip_offset - HAND_RADIUS
         mounted = [c.pose[:3, 3] for c in rig.cameras if c.mount == "flange"]
         camera = mounted[0] if mounted else np.zeros(3)
-        links = _links(rig.arm.facts) | {
+        links = link_segments(rig.arm.facts) | {
             HAND: (6, (0, 0, min(0.03, reach)), (0, 0, reach), HAND_RADIUS),
             CAMERA: (6, (0, 0, float(camera[2])), tuple(camera), 0.03),
         }
@@ -160,7 +160,7 @@ class Clearance:
         return np.concatenate([between, height, *(_outside(ends, o) - radius for o in self._obstacles)], axis=1)
 
 
-def _links(arm: ArmModel) -> dict[int, tuple[int, tuple[float, ...], tuple[float, ...], float]]:
+def link_segments(arm: ArmModel) -> dict[int, tuple[int, tuple[float, ...], tuple[float, ...], float]]:
     """Of each part of the arm: frame (0 the base, i the DH frame of joint i), both ends in it (m), radius (m)."""
     (d1, _, _, d4, d5, d6), (_, a2, a3, _, _, _) = arm.kinematics.d, arm.kinematics.a
     shoulder, elbow = arm.shape.shoulder, arm.shape.elbow

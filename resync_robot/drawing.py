@@ -15,12 +15,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from resync_robot.core import spatial
-from resync_robot.core.episode import Episode, EventKind, Plan
+from resync_robot.core.episode import Episode, EventKind
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.files import unwritable, write_bytes
 from resync_robot.core.joints import ARM_JOINTS
-from resync_robot.core.kinematics import ALPHA, Kinematics
-from resync_robot.core.machines import ARMS
+from resync_robot.core.kinematics import ALPHA
+from resync_robot.core.plan_progress import PlanProgress, Standing, plan_progress
+from resync_robot.core.recorded_rig import RecordedRig
 from resync_robot.core.robot_description import PALM
 from resync_robot.core.solids import boxes
 from resync_robot.core.state import State
@@ -93,9 +94,9 @@ def draw(episode: Episode, recording: rr.RecordingStream) -> None:
     _draw_states(episode.states(), recording, "world/belief", BELIEF)
     _draw_states(episode.truths(), recording, "world/truth", TRUTH)
     _draw_atoms(episode, recording)
-    for plan in episode.plans():
-        recording.set_time("time", duration=plan.time)
-        recording.log("plan", rr.TextDocument(_plan_text(plan), media_type=rr.MediaType.MARKDOWN))
+    for moment in plan_progress(episode):
+        recording.set_time("time", duration=moment.time)
+        recording.log("plan", rr.TextDocument(_plan_text(moment), media_type=rr.MediaType.MARKDOWN))
     for event in episode.events():
         recording.set_time("time", duration=event.time)
         text = ": ".join(part for part in dict.fromkeys((event.kind.value, event.text)) if part)
@@ -117,27 +118,6 @@ def save_pictures(pictures: Mapping[str, np.ndarray], path: Path) -> None:
         raise unwritable(path, error, "give another folder with --out") from None
 
 
-@dataclass(frozen=True)
-class _Geometry:
-    """The few facts of the recorded rig that a drawing needs, SI units."""
-
-    kinematics: Kinematics
-    world_T_base: np.ndarray
-    tip_offset: float
-    finger_thickness: float
-    finger_width: float
-
-    @staticmethod
-    def of(episode: Episode) -> _Geometry:
-        try:
-            arm, gripper = episode.meta.rig["arm"], episode.meta.rig["gripper"]
-            pose = np.array(arm["world_T_base"], dtype=np.float64).reshape(4, 4)
-            sizes = (float(gripper[name]) for name in ("tip_offset", "finger_thickness", "finger_width"))
-            return _Geometry(ARMS[arm["model"]].kinematics, pose, *sizes)
-        except (KeyError, TypeError, ValueError) as error:
-            raise EpisodeError(f"{episode.path}: the rig in /meta cannot be used: {error}") from None
-
-
 def _draw_about(episode: Episode, recording: rr.RecordingStream) -> None:
     meta = episode.meta
     rows = {
@@ -152,8 +132,8 @@ def _draw_about(episode: Episode, recording: rr.RecordingStream) -> None:
 
 def _draw_robot(episode: Episode, recording: rr.RecordingStream) -> None:
     """Links as capsules, hand and fingers as boxes, joints as curves."""
-    geometry = _Geometry.of(episode)
-    kinematics = geometry.kinematics
+    geometry = RecordedRig.of(episode)
+    kinematics = geometry.arm.kinematics
     joints = list(episode.joints())
     for i, (joint, radius) in enumerate(zip(ARM_JOINTS, LINK_RADII, strict=True)):
         # The previous joint seen from this link's frame does not depend on the joint's angle.
@@ -303,14 +283,19 @@ def _draw_atoms(episode: Episode, recording: rr.RecordingStream) -> None:
         recording.log("atoms_now", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
 
-def _plan_text(plan: Plan) -> str:
-    lines = [f"*{plan.reason}*", ""] if plan.reason else []
-    for i, step in enumerate(plan.steps):
-        if plan.current is None or i > plan.current:
-            lines.append(f"{i + 1}. {step}")
-        else:
-            lines.append(f"{i + 1}. **{step}** ◀ under way" if i == plan.current else f"{i + 1}. ~~{step}~~")
-    return "\n".join(lines) if plan.steps else "\n".join([*lines, "no steps"])
+_STANDINGS = {
+    Standing.DONE: "~~{}~~ done",
+    Standing.FAILED: "~~{}~~ **failed**",
+    Standing.UNDER_WAY: "**{}** ◀ under way",
+    Standing.NEXT: "{} ◁ next",
+    Standing.LATER: "{}",
+}
+
+
+def _plan_text(moment: PlanProgress) -> str:
+    steps = [f"{i}. {_STANDINGS[standing].format(step)}" for i, (step, standing) in enumerate(moment.steps, 1)]
+    reason = [f"*plan: {moment.reason}*", ""] if moment.reason else []
+    return "\n".join([f"**{moment.doing}**", "", *reason, *steps])
 
 
 def _draw_forces(episode: Episode, recording: rr.RecordingStream) -> None:

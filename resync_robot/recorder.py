@@ -63,6 +63,7 @@ class Recorder(Listener):
         """How many have ended."""
         self._steps: tuple[GroundOperator, ...] = ()
         self._reason = ""
+        self._failed: dict[str, str] = {}
         self._tell = tell
 
     def on_stream(self, state: RobotState, command: Command) -> None:
@@ -149,7 +150,8 @@ class Recorder(Listener):
 
     def on_plan(self, plan: Plan, reason: str) -> None:
         if self._reason or self._steps:
-            self._writer.event(self._clock(), EventKind.REPLAN, reason)
+            self._writer.event(self._clock(), EventKind.REPLAN, reason, **self._failed)
+            self._failed = {}
         self._steps, self._reason = plan.steps, reason
         self._writer.plan(self._clock(), plan.steps, None, reason)
         self._tell(f"  plan ({reason}): {plan}")
@@ -169,9 +171,15 @@ class Recorder(Listener):
         self._writer.event(self._clock(), EventKind.SKILL_END, words, ending=outcome.ending.value)
         self._tell(f"  {words}")
 
+    def on_effects_missing(self, step: GroundOperator) -> None:
+        # Told with the event that follows from it.
+        self._failed = {"failed": str(step)}
+
     def on_end(self, end: End, reason: str) -> None:
         kinds = {End.GOAL: EventKind.GOAL, End.PLANNED: EventKind.PLANNED, End.STOPPED: EventKind.STOP}
-        self._writer.event(self._clock(), kinds.get(end, EventKind.GIVE_UP), reason or end.value, end=end.value)
+        self._writer.event(
+            self._clock(), kinds.get(end, EventKind.GIVE_UP), reason or end.value, end=end.value, **self._failed
+        )
 
     def let_go(self) -> None:
         """The robot and its cameras are about to be closed: what is still to be looked at is not."""

@@ -1,4 +1,4 @@
-"""Look at a recorded episode: in the Rerun viewer, or as a file for it. Local only: no analytics, no open port."""
+"""Look at a recorded episode: in the Rerun viewer, or as a film. Local only: no analytics, no open port."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import tyro
 
-from resync_robot.core.errors import EpisodeError
+from resync_robot.core.errors import ConfigError, EpisodeError
 from resync_robot.core.files import MCAP, RRD, check_output
 from resync_robot.given import Given
 
@@ -21,7 +21,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class ReviewConfig:
-    """Open a recorded episode in the Rerun viewer."""
+    """Open a recorded episode in the Rerun viewer, or make a film of it."""
 
     episode: tyro.conf.Positional[Path]
     """A recording, *.mcap."""
@@ -29,16 +29,31 @@ class ReviewConfig:
     save: Given[Path] = None
     """Write this .rrd file instead of opening the viewer; needs no display. Default: open the viewer."""
 
+    video: Given[Path] = None
+    """Write the episode as a film to this .mp4 file, or to this .webp, an animated picture for a page: the robot at its
+    task, the pictures of its cameras, the plan, what holds, and the time. Needs no display; half a second to a second
+    of computing a frame, of which there are 15 (.webp: 10) a second."""
+
+    speed: float = 1.0
+    """How many times as fast as the robot the film runs."""
+
+    picture: Given[Path] = None
+    """Write the robot at its task, at one moment, to this .jpg or .png file."""
+
+    at: Given[float] = None
+    """That moment, in s of the episode; by default the middle."""
+
     mend: Given[Path] = None
     """Write what is whole of a recording, damaged or of an earlier version, to this .mcap file, which Foxglove, Rerun
     and the tools of ROS 2 open, and do nothing else."""
 
 
 def review(config: ReviewConfig) -> None:
-    """Draw the episode and show it, or save it.
+    """Draw the episode and show it, or save it, or make a film or a picture of it.
 
     Raises:
         EpisodeError: the recording cannot be read, or there is no display to show it on.
+        RenderError: a film or a picture is asked for, and no device can render.
         ConfigError: the file to write is the recording, or one of another kind, or cannot be written.
         DiskError: there is no room for it.
     """
@@ -46,6 +61,9 @@ def review(config: ReviewConfig) -> None:
     if config.mend is not None:
         check_output(config.mend, MCAP, [config.episode], "--mend")
         _mend(config.episode, config.mend)
+        return
+    if config.video is not None or config.picture is not None:
+        _film(config)
         return
     if config.save is not None:
         check_output(config.save, RRD, [config.episode], "--save")
@@ -83,6 +101,37 @@ def _check_there(path: Path) -> None:
     raise EpisodeError(
         what, f"the newest one there: resync-robot review {newest}" if newest else "record one: resync-robot deploy"
     )
+
+
+def _film(config: ReviewConfig) -> None:
+    from resync_robot import film
+    from resync_robot.core.episode import read_episode
+    from resync_robot.core.recorded_rig import RecordedRig
+    from resync_robot.progress import Stages, say
+
+    if config.video is not None:
+        film.check_film(config.video, config.episode, config.speed)
+    if config.picture is not None:
+        film.check_picture(config.picture, config.episode)
+    episode = read_episode(config.episode)
+    if episode.damage is not None:
+        _log.warning("%s is not whole: %s. Showing the rest.", episode.path, episode.loss)
+    at = episode.duration / 2 if config.at is None else config.at
+    if not 0 <= at <= episode.duration:
+        raise ConfigError(f"--at {at:g} is not from 0 to {episode.duration:.1f}, the length of the episode in s")
+    # SAPIEN takes a second to load.
+    from resync_robot.sim_training.film_scene import FilmScene
+
+    rig = RecordedRig.of(episode)
+    if config.picture is not None:
+        scene = FilmScene(rig, *film.STILL)
+        film.write_picture(film.Film(episode, scene).scene(at, plain=True), config.picture)
+        say(f"Picture: {config.picture}")
+    if config.video is not None:
+        made = film.Film(episode, FilmScene(rig, *film.SCENE))
+        with Stages(["film"]) as stages, stages.stage("film") as progress:
+            film.write_film(made, config.video, config.speed, progress)
+        say(f"Film: {config.video}")
 
 
 def _mend(torn: Path, out: Path) -> None:

@@ -235,8 +235,15 @@ def _attach_shapes(
             solid = physx.PhysxCollisionShapeConvexMesh(shape.vertices.astype(np.float32), scale, material)
         solid.contact_offset = solver.contact_offset
         body.attach(solid)
-        if look is None:
-            continue
+    if look is not None:
+        attach_looks(look, shapes, paint)
+
+
+def attach_looks(
+    look: render.RenderBodyComponent, shapes: list[parts.Convex | parts.Cuboid], paint: render.RenderMaterial
+) -> None:
+    """Let a body look like these shapes."""
+    for shape in shapes:
         if isinstance(shape, parts.Cuboid):
             drawn = render.RenderShapeBox(shape.half.astype(np.float32), paint)
             drawn.local_pose = sapien.Pose(shape.centre)

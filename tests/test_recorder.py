@@ -72,6 +72,7 @@ def test_plans_and_skills_are_told_and_recorded_in_their_order(path: Path) -> No
     s.recorder.on_skill_start(PICK)
     s.now = 3.0
     s.recorder.on_skill_end(PICK, Outcome(Ending.BLOCKED, "a wall"))
+    s.recorder.on_effects_missing(PLAN.steps[0])
     s.recorder.on_plan(PLAN, "it did not work")
     s.recorder.on_end(End.STUCK, "again and again")
     episode = s.read()
@@ -81,7 +82,8 @@ def test_plans_and_skills_are_told_and_recorded_in_their_order(path: Path) -> No
         (3.0, EventKind.REPLAN),
         (3.0, EventKind.GIVE_UP),
     ]
-    end = list(episode.events())[1]
+    _, end, replan, gave_up = episode.events()
+    assert replan.details == {"failed": "Pick(r, b0)"} and not gave_up.details
     assert end.text == "Pick(r, b0): blocked, a wall" and end.details["ending"] == "blocked"
     assert [(p.current, p.reason) for p in episode.plans()] == [
         (None, "start"),

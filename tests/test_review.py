@@ -57,6 +57,8 @@ def synthetic_episode(path, seconds: float = 4.0) -> None:
                 writer.atoms(t, {"Free(b0)": t / seconds, "On(b1, b0)": 0.02, "HandEmpty(r)": 0.99})
             if k % 50 == 0:
                 step = min(k // 50, 2)
+                if k:
+                    writer.event(t, EventKind.SKILL_END, f"{STEPS[step - 1]}: done", ending="done")
                 writer.event(t, EventKind.SKILL_START, STEPS[step], step=step)
                 writer.plan(t, STEPS, step, "the goal does not hold")
                 record_pictures(writer, rig, measured, t)
@@ -176,7 +178,9 @@ def test_links_reach_from_joint_to_joint(columns):
 def test_the_plan_marks_the_step_under_way(columns):
     rows = table(columns, "/plan")
     text = next(v[0] for v in rows["/plan:TextDocument:text"][1:] if v)
-    assert "~~Slide(r, b0)~~" in text and "**Pick(r, b1)** ◀" in text and "the goal does not hold" in text
+    assert text.startswith("**Pick(r, b1)**") and "the goal does not hold" in text
+    steps = "1. ~~Slide(r, b0)~~ done\n2. **Pick(r, b1)** ◀ under way\n3. Insert(r, b1, b0) ◁ next"
+    assert text.endswith(steps)
 
 
 def test_an_object_no_longer_believed_in_disappears(columns):

@@ -64,6 +64,9 @@ def with_tables(title: str, suffix: str, parse: Callable[[str], Any], *names: st
 MCAP = starting_with("an MCAP recording", ".mcap", b"\x89MCAP0\r\n")
 RRD = starting_with("a Rerun recording", ".rrd", b"RRF")
 PDDL = starting_with("a PDDL text that this program wrote", ".pddl", b"(define")
+MP4 = FileKind("an MP4 film", ".mp4", lambda file: file.read(8)[4:] == b"ftyp")
+WEBP = FileKind("a WebP picture", ".webp", lambda file: file.read(12)[8:] == b"WEBP")
+JPEG = starting_with("a JPEG picture", ".jpg", b"\xff\xd8\xff")
 PNG = starting_with("a PNG picture", ".png", b"\x89PNG\r\n\x1a\n")
 FIGURE = starting_with(
     "a figure that this program drew", ".png", b"\x89PNG\r\n\x1a\n", containing=b"Software\0resync-robot"

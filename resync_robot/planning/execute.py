@@ -107,6 +107,9 @@ class Listener:
 
     def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None: ...
 
+    def on_effects_missing(self, step: GroundOperator) -> None:
+        """What was perceived after the step says that it did not do what it should, whatever its skill said."""
+
     def on_end(self, end: End, reason: str) -> None: ...
 
     def confirm(self, step: GroundOperator) -> bool:
@@ -196,6 +199,7 @@ def plan_f(
             transitions.append(Transition(before, step.name, step.objects, state, came_true))
             if came_true:
                 continue
+            listener.on_effects_missing(step)
             reason = f"{step} did not do what it should ({outcome.ending.value}: {outcome.reason or 'effects missing'})"
             failures[str(step)] += 1
             in_vain[str(step)] += 2 if outcome.done else 1

@@ -114,6 +114,7 @@ class Notes(Listener):
     def __init__(self, decline: str = "") -> None:
         self.heard: list[str] = []
         self.reasons: list[str] = []
+        self.failed: list[str] = []
         self.seen: list[Mapping[Atom, float]] = []
         self.decline = decline
 
@@ -136,6 +137,9 @@ class Notes(Listener):
 
     def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
         self.heard.append(f"end {skill} {outcome.ending.value}")
+
+    def on_effects_missing(self, step: GroundOperator) -> None:
+        self.failed.append(str(step))
 
     def on_end(self, end: End, reason: str) -> None:
         self.heard.append(f"over: {end.value}")

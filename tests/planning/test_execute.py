@@ -84,6 +84,7 @@ def test_it_plans_again_where_an_effect_is_missing_though_the_skill_said_done() 
     assert [(t.skill, t.succeeded) for t in result.transitions] == [("Unlid", False), ("Unlid", True), ("Fill", True)]
     assert notes.plans == ["Unlid(a), Fill(a)"] * 2
     assert notes.reasons[1] == "Unlid(a) did not do what it should (done: effects missing)"
+    assert notes.failed == ["Unlid(a)"]
 
 
 def test_it_plans_again_where_the_next_step_lost_its_precondition() -> None:
@@ -97,7 +98,7 @@ def test_it_plans_again_where_the_next_step_lost_its_precondition() -> None:
     result = plan_f(world, model(world, Unlid=(opens_and_soils_once, Outcome(Ending.DONE))), GOAL, listener=notes)
     assert result.success
     assert [t.skill for t in result.transitions] == ["Unlid", "Wipe", "Fill"]
-    assert notes.reasons[1] == "Fill(a) needs Clean(a)"
+    assert notes.reasons[1] == "Fill(a) needs Clean(a)" and not notes.failed
 
 
 def test_a_missing_delete_effect_counts_as_failure() -> None:
