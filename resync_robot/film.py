@@ -44,7 +44,7 @@ class FilmKind:
     """How films of one suffix are encoded. One thread, so that the same frames give the same bytes.
 
     Attributes:
-        width: px; rate: frames a second.
+        width: px; rate: frames a second; finer: how much finer than shown the scene is rendered.
     """
 
     file: FileKind
@@ -52,17 +52,18 @@ class FilmKind:
     codec: str
     width: int
     rate: int
+    finer: float
     options: Mapping[str, str]
     container_options: Mapping[str, str] = field(default_factory=dict)
 
 
 KINDS = {
     ".mp4": FilmKind(
-        file=MP4, container="mp4", codec="libx264", width=WIDTH, rate=15,
+        file=MP4, container="mp4", codec="libx264", width=WIDTH, rate=15, finer=2.0,
         options={"crf": "20", "preset": "medium", "x264-params": "threads=1:lookahead-threads=1:sliced-threads=0"},
     ),
     ".webp": FilmKind(
-        file=WEBP, container="webp", codec="libwebp_anim", width=960, rate=10,
+        file=WEBP, container="webp", codec="libwebp_anim", width=960, rate=8, finer=1.5,
         options={"quality": "65", "compression_level": "5"}, container_options={"loop": "0"},
     ),
 }  # fmt: skip
@@ -147,8 +148,7 @@ class Film:
             signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
             corners = spatial.apply(spatial.pose_from_features(features[:7]), signs * features[7:10] / 2)
             px = np.round(self._scene.pixels(corners) * 16).clip(-(2**20), 2**20).astype(np.int32)
-            edges = [(i, j) for i in range(8) for j in range(i) if (signs[i] != signs[j]).sum() == 1]
-            cv2.polylines(picture, [px[list(e)] for e in edges], False, panels.BELIEF, 1, cv2.LINE_AA, 4)
+            cv2.polylines(picture, [cv2.convexHull(px)], True, panels.BELIEF, 2, cv2.LINE_AA, 4)
         return bool(believed)
 
     def _tile(self, name: str, time: float, width: int, height: int) -> UInt8[np.ndarray, "h w 3"]:

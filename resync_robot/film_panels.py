@@ -35,7 +35,7 @@ _WORDS = {Standing.LATER: ""}
 def header(title: str, time: float, speed: float, width: int, height: int) -> Picture:
     """What the film shows, and the time of the episode."""
     image, draw = _blank(width, height, BAR)
-    clock = f"{time:5.1f} s" + (f"   ×{speed:g}" if speed != 1 else "")
+    clock = f"{time:5.1f} s" + (f"   {speed:g} × speed" if speed != 1 else "")
     room = width - 48 - int(_font(20, True).getlength(clock))
     draw.text((16, height / 2), _fitting(title, room, _font(20, True)), TEXT, _font(20, True), anchor="lm")
     draw.text((width - 16, height / 2), clock, TEXT, _font(20, True), anchor="rm")
@@ -70,6 +70,8 @@ def plan_panel(moment: PlanProgress, width: int, height: int) -> Picture:
     ended = moment.steps and doing.partition(":")[0] in ("goal reached", "given up", "stopped")
     colour = GOOD if doing == "goal reached" else BAD if ended else NOW
     draw.text((72, 16), _fitting(doing, width - 84, _font(SIZE, True)), colour, _font(SIZE, True), anchor="lm")
+    if not moment.steps:
+        draw.text((16, 30 + LINE / 2), "no plan yet", FAINT, _font(SIZE), anchor="lm")
     most = (height - 30) // LINE
     begin = _first_shown([standing for _, standing in moment.steps], most)
     for row, (step, standing) in enumerate(moment.steps[begin : begin + most]):

@@ -32,7 +32,7 @@ class ReviewConfig:
     video: Given[Path] = None
     """Write the episode as a film to this .mp4 file, or to this .webp, an animated picture for a page: the robot at its
     task, the pictures of its cameras, the plan, what holds, and the time. Needs no display; half a second to a second
-    of computing a frame, of which there are 15 (.webp: 10) a second."""
+    of computing a frame, of which there are 15 (.webp: 8) a second."""
 
     speed: float = 1.0
     """How many times as fast as the robot the film runs."""
@@ -128,7 +128,7 @@ def _film(config: ReviewConfig) -> None:
         film.write_picture(film.Film(episode, scene).scene(at, plain=True), config.picture)
         say(f"Picture: {config.picture}")
     if config.video is not None:
-        made = film.Film(episode, FilmScene(rig, *film.SCENE))
+        made = film.Film(episode, FilmScene(rig, *film.SCENE, film.KINDS[config.video.suffix].finer))
         with Stages(["film"]) as stages, stages.stage("film") as progress:
             film.write_film(made, config.video, config.speed, progress)
         say(f"Film: {config.video}")

@@ -26,8 +26,6 @@ from resync_robot.sim_training import parts
 from resync_robot.sim_training.randomise import BLOCK_HUES
 from resync_robot.sim_training.scene import attach_looks, colour_of, require_renderer
 
-FINER = 2
-"""The picture is rendered this many times as wide and high, and made smaller: smooth edges."""
 STEEL, DARK, BLUE = (0.70, 0.72, 0.75), (0.055, 0.06, 0.07), (0.16, 0.34, 0.56)
 BOX_COLOUR, TABLE, FLOOR = (0.42, 0.44, 0.47), (0.66, 0.60, 0.52), (0.30, 0.32, 0.35)
 TABLE_HALF, TABLE_MIDDLE = np.array([0.62, 0.62, 0.02]), np.array([0.32, 0.0, -0.02 - parts.BOX_FLOOR])
@@ -39,9 +37,9 @@ SAME_SIZE = 5e-4
 class Viewpoint:
     """Where people look from: m in the world, and the angle of the picture's height in rad."""
 
-    eye: tuple[float, float, float] = (1.45, -1.05, 0.95)
-    aim: tuple[float, float, float] = (0.30, 0.0, 0.26)
-    field: float = 0.58
+    eye: tuple[float, float, float] = (1.32, -0.80, 1.22)
+    aim: tuple[float, float, float] = (0.29, 0.0, 0.235)
+    field: float = 0.65
 
     @property
     def world_T_cam(self) -> Float[np.ndarray, "4 4"]:
@@ -53,13 +51,18 @@ class Viewpoint:
 
 
 class FilmScene:
-    """Args: width, height of its pictures in pixels.
+    """
+    Args:
+        width, height: of its pictures in px.
+        finer: a picture is rendered this many times as wide and high, and made smaller: smooth edges.
 
     Raises:
         RenderError: no device can render.
     """
 
-    def __init__(self, rig: RecordedRig, width: int, height: int, view: Viewpoint | None = None) -> None:
+    def __init__(
+        self, rig: RecordedRig, width: int, height: int, finer: float = 2.0, view: Viewpoint | None = None
+    ) -> None:
         require_renderer()
         self._rig, self._view = rig, view or Viewpoint()
         self._scene = sapien.Scene([render.RenderSystem()])
@@ -71,7 +74,7 @@ class FilmScene:
         floor = parts.Cuboid(np.array([0.0, 0.0, -0.8]), np.array([12.0, 12.0, 0.02]))
         self._add("floor", [floor], FLOOR, 0.95)
         self._light()
-        self._size = width, height
+        self._size, self._finer = (width, height), finer
         self._focal = height / 2 / np.tan(self._view.field / 2)
         self._camera = self._add_camera()
 
@@ -169,14 +172,14 @@ class FilmScene:
         self._scene.set_ambient_light([0.42] * 3)
         self._scene.add_directional_light(
             (-0.35, 0.45, -1.0), [1.35, 1.32, 1.26], shadow=True, position=[0.3, 0.0, 0.3], shadow_scale=1.0,
-            shadow_near=-3.0, shadow_far=3.0, shadow_map_size=4096,
+            shadow_near=-8.0, shadow_far=8.0, shadow_map_size=4096,
         )  # fmt: skip
         self._scene.add_directional_light((-0.8, -0.5, -0.5), [0.30, 0.32, 0.38], shadow=False)
 
     def _add_camera(self) -> render.RenderCameraComponent:
-        width, height = (FINER * s for s in self._size)
+        width, height = (round(self._finer * s) for s in self._size)
         component = render.RenderCameraComponent(width, height)
-        focal = float(FINER * self._focal)
+        focal = float(self._finer * self._focal)
         component.set_perspective_parameters(0.1, 30.0, focal, focal, width / 2, height / 2, 0.0)
         # SAPIEN cameras look along x with z up; OpenCV's along z with y down.
         axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
