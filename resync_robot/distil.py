@@ -26,7 +26,7 @@ from resync_robot.core.task import Domain
 from resync_robot.learning.camera_view import PICTURE, VIEWS, CameraPolicy, Prediction
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import ActorCritic
-from resync_robot.plots import draw_distillation
+from resync_robot.plots import contact_sheet, draw_distillation
 from resync_robot.run_folder import RunFolder, git_hash, read_json, write_json
 from resync_robot.sim_training.demos import dataset
 from resync_robot.sim_training.demos.rollouts import (
@@ -266,8 +266,8 @@ def _show(folder: RunFolder, shards: list[Path], points: list[dict[str, Any]], c
     """What a person wants to see of it: the dataset as one, what the cameras saw, the curves. Returns how much there
     is, as `dataset.merge_shards` does."""
     counts = dataset.merge_shards(shards, folder.path / "dataset")
-    sheet = dataset.contact_sheet(dataset.read_shards(shards[:: max(1, len(shards) // 6)]))
-    save_picture(folder.path / "demonstrations.png", sheet)
+    shown = dataset.moments(dataset.read_shards(shards[:: max(1, len(shards) // 6)]))
+    save_picture(folder.path / "demonstrations.png", contact_sheet(shown, VIEWS))
     draw_distillation(_read_losses(folder.stages / "distil.csv"), points, chosen, folder.path / "distil.png")
     return counts
 

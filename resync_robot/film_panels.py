@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
-from pathlib import Path
 
-import matplotlib
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from resync_robot.core.plan_progress import PlanProgress, Standing
+from resync_robot.lettering import fitting, font
 
 Picture = UInt8[np.ndarray, "h w 3"]
 Colour = tuple[int, int, int]
@@ -36,9 +34,9 @@ def header(title: str, time: float, speed: float, width: int, height: int) -> Pi
     """What the film shows, and the time of the episode."""
     image, draw = _blank(width, height, BAR)
     clock = f"{time:5.1f} s" + (f"   {speed:g} × speed" if speed != 1 else "")
-    room = width - 48 - int(_font(20, True).getlength(clock))
-    draw.text((16, height / 2), _fitting(title, room, _font(20, True)), TEXT, _font(20, True), anchor="lm")
-    draw.text((width - 16, height / 2), clock, TEXT, _font(20, True), anchor="rm")
+    room = width - 48 - int(font(20, True).getlength(clock))
+    draw.text((16, height / 2), fitting(title, room, font(20, True)), TEXT, font(20, True), anchor="lm")
+    draw.text((width - 16, height / 2), clock, TEXT, font(20, True), anchor="rm")
     return np.asarray(image)
 
 
@@ -64,25 +62,25 @@ def labelled(picture: Picture, label: str) -> Picture:
 def plan_panel(moment: PlanProgress, width: int, height: int) -> Picture:
     """What the robot does, and how its steps stand; of a long plan the part around the step under way."""
     image, draw = _blank(width, height, BACKGROUND)
-    draw.text((16, 16), "Plan", FAINT, _font(SIZE, True), anchor="lm")
+    draw.text((16, 16), "Plan", FAINT, font(SIZE, True), anchor="lm")
     known = {step for step, _ in moment.steps}
     doing = "" if moment.doing in known else moment.doing
     ended = moment.steps and doing.partition(":")[0] in ("goal reached", "given up", "stopped")
     colour = GOOD if doing == "goal reached" else BAD if ended else NOW
-    draw.text((72, 16), _fitting(doing, width - 84, _font(SIZE, True)), colour, _font(SIZE, True), anchor="lm")
+    draw.text((72, 16), fitting(doing, width - 84, font(SIZE, True)), colour, font(SIZE, True), anchor="lm")
     if not moment.steps:
-        draw.text((16, 30 + LINE / 2), "no plan yet", FAINT, _font(SIZE), anchor="lm")
+        draw.text((16, 30 + LINE / 2), "no plan yet", FAINT, font(SIZE), anchor="lm")
     most = (height - 30) // LINE
     begin = _first_shown([standing for _, standing in moment.steps], most)
     for row, (step, standing) in enumerate(moment.steps[begin : begin + most]):
         sign, colour = _LOOKS[standing]
         y = 30 + LINE * row + LINE / 2
         word = _WORDS.get(standing, standing.value)
-        draw.text((16, y), sign, colour, _font(SIZE), anchor="lm")
-        font = _font(SIZE, standing is Standing.UNDER_WAY)
-        room = width - 44 - int(_font(SIZE - 2).getlength(word)) - 20
-        draw.text((40, y), _fitting(f"{begin + row + 1}. {step}", room, font), colour, font, anchor="lm")
-        draw.text((width - 12, y), word, colour, _font(SIZE - 2), anchor="rm")
+        draw.text((16, y), sign, colour, font(SIZE), anchor="lm")
+        letters = font(SIZE, standing is Standing.UNDER_WAY)
+        room = width - 44 - int(font(SIZE - 2).getlength(word)) - 20
+        draw.text((40, y), fitting(f"{begin + row + 1}. {step}", room, letters), colour, letters, anchor="lm")
+        draw.text((width - 12, y), word, colour, font(SIZE - 2), anchor="rm")
     return np.asarray(image)
 
 
@@ -95,7 +93,7 @@ def _first_shown(standings: Sequence[Standing], most: int) -> int:
 def atoms_panel(atoms: Mapping[str, float], width: int, height: int) -> Picture:
     """What holds, and what is in doubt with its probability, in two columns."""
     image, draw = _blank(width, height, BACKGROUND)
-    draw.text((12, 16), "What holds" if atoms else "Nothing is known yet", FAINT, _font(SIZE, True), anchor="lm")
+    draw.text((12, 16), "What holds" if atoms else "Nothing is known yet", FAINT, font(SIZE, True), anchor="lm")
     shown = [(a, p) for a, p in sorted(atoms.items()) if p > HOLDS or p > DOUBTFUL]
     # What a plan waits for comes last where there is not room for all.
     shown.sort(key=lambda item: item[1] <= HOLDS)
@@ -106,10 +104,10 @@ def atoms_panel(atoms: Mapping[str, float], width: int, height: int) -> Picture:
         doubtful = DOUBTFUL < p < 1 - DOUBTFUL
         text = f"{atom}  {p:.2f}" if doubtful else atom
         colour = NOW if doubtful else TEXT
-        draw.text((x, y), _fitting(text, width // 2 - 18, _font(SIZE - 1)), colour, _font(SIZE - 1), anchor="lm")
+        draw.text((x, y), fitting(text, width // 2 - 18, font(SIZE - 1)), colour, font(SIZE - 1), anchor="lm")
     if hidden:
         corner = (12 + width // 2, 30 + LINE * (rows - 1) + LINE / 2)
-        draw.text(corner, f"and {hidden + 1} more", FAINT, _font(SIZE - 1), anchor="lm")
+        draw.text(corner, f"and {hidden + 1} more", FAINT, font(SIZE - 1), anchor="lm")
     return np.asarray(image)
 
 
@@ -119,23 +117,7 @@ def _blank(width: int, height: int, colour: Colour) -> tuple[Image.Image, ImageD
 
 
 def _labelled(image: Image.Image, draw: ImageDraw.ImageDraw, label: str) -> Image.Image:
-    text = _fitting(label, image.width - 24, _font(15))
-    draw.rectangle((0, 0, _font(15).getlength(text) + 16, 24), BACKGROUND)
-    draw.text((8, 12), text, TEXT, _font(15), anchor="lm")
+    text = fitting(label, image.width - 24, font(15))
+    draw.rectangle((0, 0, font(15).getlength(text) + 16, 24), BACKGROUND)
+    draw.text((8, 12), text, TEXT, font(15), anchor="lm")
     return image
-
-
-def _fitting(text: str, room: float, font: ImageFont.FreeTypeFont) -> str:
-    """The text, cut off where there is not room for all of it."""
-    if font.getlength(text) <= room:
-        return text
-    while text and font.getlength(text + "…") > room:
-        text = text[:-1]
-    return text + "…"
-
-
-@cache
-def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """Of matplotlib, so that every machine writes the same."""
-    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)

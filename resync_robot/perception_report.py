@@ -62,16 +62,27 @@ def draw_reliability(report: dict[str, Any], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axis = plt.subplots(figsize=(4.6, 4.2), layout="constrained")
+    figure, axis = plt.subplots(figsize=(5.6, 5.4), layout="constrained")
     levels = np.array(LEVELS)
-    axis.plot([0.45, 1], [0.45, 1], color="#999999", linewidth=0.8, linestyle="--")
+    axis.plot([0.45, 1], [0.45, 1], color="#666666", linewidth=1, linestyle="--", label="as it should be")
     for row in report["summary"]:
         if not row["place_coverage"] or row["n"] < 10:
             continue
         thick = 2.5 if row["condition"] == ALL else 1.0
         share = [row["place_coverage"][str(level)] for level in levels]
         axis.plot(levels, share, "o-", markersize=3, linewidth=thick, label=f"{row['condition']} ({row['n']})")
-    axis.set(xlabel="level of the ellipse", ylabel="share of truths within", xlim=(0.45, 1), ylim=(0.3, 1.01))
+    axis.set(
+        xlabel="probability that the robot gives to its ellipse",
+        ylabel="share of true positions within the ellipse",
+        xlim=(0.45, 1),
+        ylim=(0.3, 1.01),
+    )
+    axis.set_title(f"How honest is the doubt about where things are? {report['scenes']} scenes", fontsize=10)
+    figure.supxlabel(
+        "Above the dashed line the robot is too cautious, below it too sure. In brackets: how many were looked at.",
+        fontsize=8,
+        color="#555555",
+    )
     axis.grid(alpha=0.25)
     axis.legend(fontsize=7)
     save_figure(figure, path)

@@ -175,7 +175,7 @@ def learn_recovery(
     weights, meta = folder.stages / "recovery.safetensors", folder.stages / "recovery.json"
     learned = read_learned(meta, weights)
     if learned is None or not folder.has_figures("recovery"):
-        rig, settings = folder.rig, RecoverySettings()
+        rig, settings, ppo = folder.rig, RecoverySettings(), scaled_to_device(preset.ppo, device)
         tasks = mined.tasks(domain)
         net, figures = train_recovery(
             tasks,
@@ -183,7 +183,7 @@ def learn_recovery(
             rig,
             seed,
             workers,
-            scaled_to_device(preset.ppo, device),
+            ppo,
             settings,
             folder.stages / "ppo.safetensors",
             lambda steps, budget, rate: progress(steps / budget, f"success {rate:.3f} after {steps // 1000} k steps"),
@@ -202,6 +202,9 @@ def learn_recovery(
             {
                 "curve": figures["curve"],
                 "steps": figures["curve"]["steps"][-1],
+                "stop_at": ppo.stop_at,
+                # Only then all episodes count, and not just those that end early.
+                "first_time_limit": ppo.scenes * settings.horizon,
                 "terminal_accuracy": round(accuracy, 4),
                 "failure_detector_accuracy": round(failed_accuracy, 4),
             },

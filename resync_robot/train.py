@@ -287,7 +287,9 @@ def _save(
     library = with_card(make_library(domain, folder.rig, record, gaussians, concepts, provenance, policy), domain)
     save_library(library, folder.library)
     folder.record("save", {"content_hash": library.content_hash})
-    draw_learning_curve(metrics["recovery"]["curve"], folder.path / "recovery.png")
+    recovery = metrics["recovery"]
+    begins, stop_at = recovery.get("first_time_limit", 0), recovery.get("stop_at")
+    draw_learning_curve(recovery["curve"], folder.path / "recovery.png", begins, stop_at)
 
 
 def _report(domain: Domain, folder: RunFolder, concepts: Concepts) -> None:

@@ -159,20 +159,20 @@ def merge_shards(shards: Sequence[Path], folder: Path) -> dict[str, int]:
     return {"segments": int(info["total_episodes"]), "frames": int(info["total_frames"])}
 
 
-def contact_sheet(frames: Demonstrations, rows: int = 12, columns: int = 5) -> UInt8[np.ndarray, "h w 3"]:
-    """What the cameras saw: segments drawn evenly, a row each, from left to right in time; RGB."""
+def moments(frames: Demonstrations, rows: int = 12, columns: int = 5) -> UInt8[np.ndarray, "r c v p p 3"]:
+    """What the cameras saw: segments drawn evenly, a row each, at moments spread evenly from its begin to its end."""
     # Still moments and stubs show little.
     chosen = [
         s
         for s in np.unique(frames.segment)
         if (frames.segment == s).sum() >= columns and frames.acts[frames.segment == s].all()
     ]
-    sheet = []
+    shown = []
     for segment in chosen[:: max(1, len(chosen) // rows)][:rows]:
         of = np.flatnonzero(frames.segment == segment)
         some = of[np.linspace(0, len(of) - 1, columns).astype(int)]
-        sheet.append(np.hstack([np.hstack(list(frames.pictures[i])) for i in some]))
-    return np.vstack(sheet) if sheet else np.zeros((*frames.pictures.shape[2:4], 3), dtype=np.uint8)
+        shown.append(frames.pictures[some])
+    return np.stack(shown) if shown else np.zeros((0, columns, *frames.pictures.shape[1:]), dtype=np.uint8)
 
 
 def read_shards(folders: Sequence[Path]) -> Demonstrations:

@@ -347,9 +347,12 @@ def test_no_success_at_all_is_an_error_that_says_so(tmp_path: Path) -> None:
         dataset.read_shards([tmp_path / "empty"])
 
 
-def test_a_contact_sheet_shows_a_row_for_each_segment(shard: Path) -> None:
-    sheet = dataset.contact_sheet(dataset.read_shards([shard]), rows=2, columns=4)
-    assert sheet.shape == (2 * PICTURE, 4 * 3 * PICTURE, 3)
+def test_moments_of_a_segment_go_from_its_begin_to_its_end(shard: Path) -> None:
+    frames = dataset.read_shards([shard])
+    shown = dataset.moments(frames, rows=2, columns=4)
+    assert shown.shape == (2, 4, 3, PICTURE, PICTURE, 3)
+    first = np.flatnonzero(frames.segment == 0)
+    np.testing.assert_array_equal(shown[0, [0, -1]], frames.pictures[first[[0, -1]]])
 
 
 def test_hand_axes_of_a_turned_box_are_the_box_s() -> None:
