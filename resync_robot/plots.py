@@ -63,7 +63,7 @@ def draw_learning_curve(
 
     figure, axis = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
     steps, rates = np.array(curve["steps"]) / 1000, 100 * np.array(curve["success"])
-    counted = np.array(curve["steps"]) > first_time_limit
+    counted = np.array(curve["steps"]) >= first_time_limit
     axis.plot(steps[counted], rates[counted], color=BLUE, linewidth=2)
     caption = "Episodes as PPO samples them, noise and all; mean over the last 400 that ended."
     early = np.flatnonzero(~counted)
