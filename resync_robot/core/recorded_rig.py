@@ -34,9 +34,9 @@ class RecordedRig:
         try:
             arm, gripper = episode.meta.rig["arm"], episode.meta.rig["gripper"]
             pose = np.array(arm["world_T_base"], dtype=np.float64).reshape(4, 4)
-            sizes = (float(gripper[name]) for name in ("tip_offset", "finger_thickness", "finger_width"))
+            tip, thick, wide = (float(gripper[n]) for n in ("tip_offset", "finger_thickness", "finger_width"))
             hues = {str(name): float(hue) for name, hue in episode.meta.rig.get("hues", {}).items()}
-            return RecordedRig(ARMS[arm["model"]], pose, *sizes, hues)
+            return RecordedRig(ARMS[arm["model"]], pose, tip, thick, wide, hues)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise EpisodeError(f"{episode.path}: the rig in /meta cannot be used: {error}") from None
 
