@@ -64,7 +64,7 @@ KINDS = {
     ),
     ".webp": FilmKind(
         file=WEBP, container="webp", codec="libwebp_anim", width=960, rate=8, finer=1.5,
-        options={"quality": "65", "compression_level": "5"}, container_options={"loop": "0"},
+        options={"quality": "85", "compression_level": "5"}, container_options={"loop": "0"},
     ),
 }  # fmt: skip
 PICTURES = {".jpg": JPEG, ".jpeg": JPEG, ".png": PNG}
