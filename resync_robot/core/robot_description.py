@@ -205,7 +205,7 @@ def _angles(rotation: np.ndarray) -> tuple[float, float, float]:
     )
 
 
-def _numbers(values: Sequence[float]) -> str:
+def _numbers(values: Sequence[float] | np.ndarray) -> str:
     return " ".join(f"{value + 0.0:.12g}" for value in values)
 
 
