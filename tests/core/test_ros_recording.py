@@ -14,7 +14,7 @@ import pytest
 from mcap.writer import Writer
 
 from resync_robot.core import spatial
-from resync_robot.core.episode import EpisodeMeta, EventKind, Timing, mend_episode, read_episode
+from resync_robot.core.episode import Answer, Ask, EpisodeMeta, EventKind, Timing, mend_episode, read_episode
 from resync_robot.core.episode_schemas import SCHEMAS
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
@@ -66,7 +66,9 @@ def record(path: Path) -> None:
                 )
                 writer.picture(frame, b"jpeg", b"png")
                 writer.window(camera.name, 50 + t, b"png")
+                writer.film(camera.name, 50 + t, b"\xff\xd8jpeg")
             writer.timing(Timing(49.9 + t, 50 + t, 50.01 + t, 0.002))
+            writer.answer(Answer(Ask.REST, 50 + t, JointTarget(q_at(t), 0.1), {}))
     assert writer.error is None
 
 
@@ -107,7 +109,8 @@ def ns(stamp: Any) -> int:
 
 def test_every_message_of_every_channel_is_read(path: Path, bag: dict[str, list[tuple[int, Any]]]) -> None:
     assert bag.keys() == read_episode(path).messages.keys()
-    assert {topic.rsplit("/", 1)[-1] for topic in bag} >= {*SCHEMAS, "tf", "tf_static", "rosout", "depth_mm", "window"}
+    names = {*SCHEMAS, "tf", "tf_static", "rosout", "depth_mm", "window", "film"}
+    assert {topic.rsplit("/", 1)[-1] for topic in bag} >= names
     for topic in (t for t in bag if t.rsplit("/", 1)[-1] in SCHEMAS):
         schema = SCHEMAS[topic.rsplit("/", 1)[-1]]
         for _, message in bag[topic]:
