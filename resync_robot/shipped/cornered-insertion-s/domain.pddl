@@ -19,8 +19,13 @@
   )
   (:action Pick
     :parameters (?r - robot ?b - block)
-    :precondition (and (HandEmpty ?r) (ReadyPick ?b))
+    :precondition (and (HandEmpty ?r) (ReadyInsert ?b) (not-On-exists-block0 ?b))
     :effect (and (Holding ?r ?b) (not (HandEmpty ?r)))
+  )
+  (:action Place
+    :parameters (?r - robot ?b - block)
+    :precondition (and (Holding ?r ?b))
+    :effect (and (HandEmpty ?r) (not (Holding ?r ?b)))
   )
   (:action Recover
     :parameters (?robot - robot ?block - block ?box - box)
