@@ -57,7 +57,7 @@ def test_every_file_that_a_page_names_exists(page: Path) -> None:
 
 def test_every_picture_is_shown() -> None:
     shown = {(page.parent / link).resolve() for page in PAGES for link in LINK.findall(_prose(page))}
-    pictures = {path for path in DOCS.iterdir() if path.suffix in (".gif", ".jpg", ".png")}
+    pictures = {path for path in DOCS.iterdir() if path.suffix in (".gif", ".jpg", ".png", ".webp")}
     assert pictures - shown == set()
 
 
