@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from resync_robot.run_settings import RunSettings
     from resync_robot.stage_files import Mined
 
-QUICK_MINUTES = 50
+QUICK_MINUTES = 60
 """Of --preset quick on two cores, with the camera policy; README says the same."""
 
 
