@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import fields
 from io import TextIOWrapper
+from itertools import pairwise
 from typing import Any, TextIO, get_args, get_type_hints
 
 import tyro
@@ -178,7 +179,7 @@ def refuse_missing(args: Sequence[str]) -> None:
         for field in fields(settings)
         if "Path" in str(field.type)
     }
-    for option, value in zip(args, [*args[1:], "--"], strict=True):
+    for option, value in pairwise([*args, "--"]):
         if option in files and value.startswith("--"):
             raise ConfigError(f"{option} needs the name of a file or folder", f"write it behind: {option} NAME")
 
