@@ -175,7 +175,7 @@ def refuse_missing(args: Sequence[str]) -> None:
         )
     files = {
         f"--{field.name.replace('_', '-')}"
-        for settings in (*kinds, *(settings for settings, _ in COMMANDS.values()))
+        for settings in (kinds if args[:1] == ["calibrate"] else [COMMANDS[w][0] for w in args[:1] if w in COMMANDS])
         for field in fields(settings)
         if "Path" in str(field.type)
     }

@@ -110,6 +110,7 @@ def test_what_cannot_be_parsed_is_one_message_and_code_2(
     [
         (("calibrate",), "board, intrinsics, hand-eye, check, noise or hues"),
         (("calibrate", "--camera", "wrist"), "board, intrinsics, hand-eye, check, noise or hues"),
+        (("evaluate", "--json"), "--json needs the name of a file or folder"),
         (("review", "--save"), "--save needs the name of a file or folder"),
         (("review", "x.mcap", "--save", "--mend", "y.mcap"), "--save needs the name of a file or folder"),
         (("calibrate", "hand-eye", "--write"), "--write needs the name of a file or folder"),

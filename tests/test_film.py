@@ -158,7 +158,7 @@ def test_what_cannot_be_filmed_is_said_at_once(recording: Path, tmp_path: Path, 
 
 
 def test_a_missing_recording_leaves_no_film(tmp_path: Path) -> None:
-    with pytest.raises(EpisodeError, match="cannot read"):
+    with pytest.raises(EpisodeError, match="there is no recording"):
         review(ReviewConfig(episode=tmp_path / "none.mcap", video=tmp_path / "film.mp4"))
     assert not list(tmp_path.iterdir())
 

@@ -83,7 +83,7 @@ def test_plans_and_skills_are_told_and_recorded_in_their_order(path: Path) -> No
         (3.0, EventKind.GIVE_UP),
     ]
     _, end, replan, gave_up = episode.events()
-    assert replan.details == {"failed": "Pick(r, b0)"} and not gave_up.details
+    assert replan.details == {"failed": "Pick(r, b0)"} and gave_up.details == {"end": "stuck"}
     assert end.text == "Pick(r, b0): blocked, a wall" and end.details["ending"] == "blocked"
     assert [(p.current, p.reason) for p in episode.plans()] == [
         (None, "start"),

@@ -14,6 +14,7 @@ import pytest
 from mcap.records import Channel, Message
 
 from resync_robot import backends, cli
+from resync_robot.core import ros_messages
 from resync_robot.core.episode import Answer, Ask, Episode, EpisodeMeta, EventKind, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ConfigError, PerceptionError, RenderError
@@ -92,8 +93,8 @@ def altered(path: Path, out: Path, topic: str, alter: Callable[[int, int, Any], 
     rows = [i for i, r in enumerate(records) if isinstance(r, Message) and named[r.channel_id] == topic]
     kept: list[Any] = list(records)
     for k, i in enumerate(rows):
-        content = alter(k, len(rows), json.loads(records[i].data))
-        kept[i] = None if content is None else replace(records[i], data=json.dumps(content).encode())
+        content = alter(k, len(rows), json.loads(ros_messages.text_data(records[i].data)))
+        kept[i] = None if content is None else replace(records[i], data=ros_messages.string(json.dumps(content)))
     write_whole([r for r in kept if r is not None], out)
     return out
 
