@@ -33,8 +33,6 @@ LET_GO_STEPS, WAIT_STEPS = 5, 10
 """Control steps up, and for the block to fall back."""
 BENEATH = 0.004
 """m beneath the block's upper face at which the tip is beside the block."""
-LIFT_STEP = 0.008
-"""m up in one step of a policy from which on it means to lift the hand, not to press less."""
 
 
 @dataclass
@@ -77,7 +75,8 @@ def press_on(
         Whether the way was gone to its end. If not, the hand has let go.
     """
     begin, tip = hand.position.copy(), hand.tip()
-    if begin[2] < tip[2] - PRESSED and goal[2] > begin[2] + LIFT_STEP:
+    # One that only presses less goes on dragging.
+    if begin[2] < tip[2] - PRESSED < goal[2]:
         behind = tip[:2] - begin[:2]
         share = min(1.0, GIVE_IN_STEP * steps / max(float(np.linalg.norm(behind)), 1e-9))
         goal = np.array([*(begin[:2] + share * behind), goal[2]])
