@@ -441,7 +441,7 @@ def test_poses_and_skills_come_from_cameras_where_the_library_can_and_the_table_
     assert f"| method ({words}) | s0 |" in capsys.readouterr().out
     assert (note in caplog.text) if note else "the library" not in caplog.text
     assert ("--skills camera" in caplog.text) == ("trials" in note), "what to type, where there is something to use"
-    made = json.loads((tmp_path / "rows.json").read_text())["provenance"]
+    made = json.loads((tmp_path / "rows.json").read_text("utf-8"))["provenance"]
     assert (made["perception"] == "camera", made["skills"] == "camera") == tuple(
         "camera" in part for part in words.split(",")
     )

@@ -52,10 +52,10 @@ def test_the_shipped_chart_is_that_of_the_shipped_figures(chart: ModuleType, doc
 
 
 def test_figures_come_from_evaluations(chart: ModuleType, docs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = json.loads((docs / "results.json").read_text())
+    before = json.loads((docs / "results.json").read_text("utf-8"))
     files = [_evaluation(docs / "a.json"), _evaluation(docs / "b.json", git="1234567890ab")]
     chart.main([*(f"camera={file}" for file in files), "--docs", str(docs)])
-    after = json.loads((docs / "results.json").read_text())
+    after = json.loads((docs / "results.json").read_text("utf-8"))
     camera = after["series"].pop("camera")
     assert camera["reached"] == {"s1": "18 of 20", "s7": "16 of 20"}
     assert camera["git"] == ["abcdef0", "1234567"]
@@ -75,10 +75,10 @@ def test_figures_come_from_evaluations(chart: ModuleType, docs: Path, capsys: py
 def test_figures_of_another_kind_are_refused(
     chart: ModuleType, docs: Path, changes: dict[str, Any], words: str
 ) -> None:
-    before = (docs / "results.json").read_text()
+    before = (docs / "results.json").read_text("utf-8")
     with pytest.raises(SystemExit, match=words):
         chart.main([f"camera={_evaluation(docs / 'a.json', **changes)}", "--docs", str(docs)])
-    assert (docs / "results.json").read_text() == before
+    assert (docs / "results.json").read_text("utf-8") == before
 
 
 def test_other_worlds_are_not_added_up(chart: ModuleType, docs: Path) -> None:
