@@ -158,7 +158,10 @@ def check_cuda() -> Finding:
     code = "import torch; print(torch.cuda.get_device_name() if torch.cuda.is_available() else '')"
     outcome = run_probe([sys.executable, "-c", code])
     if outcome.returncode == 0 and outcome.stdout.strip():
-        return Finding("cuda", "ok", outcome.stdout.strip())
+        from resync_robot.sim_training.gpu_physics import gpu_physics_path
+
+        library = "there" if gpu_physics_path().is_file() else "not there yet: downloaded by the first --device cuda"
+        return Finding("cuda", "ok", f"{outcome.stdout.strip()}; GPU physics is {library}")
     reason = _last_line(outcome.stderr) or "torch sees no GPU"
     return Finding("cuda", "warn", f"there is an NVIDIA driver but {reason}", "nvidia-smi")
 

@@ -172,6 +172,10 @@ def _check_device(settings: RunSettings, folder: RunFolder) -> None:
                 f"--device cuda: its scenes are built for the simulated rig, not for '{folder.rig.name}'",
                 "use --device cpu",
             )
+        if not (folder.stages / "recovery.json").exists():
+            from resync_robot.sim_training.gpu_physics import require_gpu_physics
+
+            require_gpu_physics()
 
 
 def _check_renderer() -> None:

@@ -14,12 +14,13 @@ from pathlib import Path
 import pytest
 
 from resync_robot import cli, train
-from resync_robot.core.errors import ConfigError
+from resync_robot.core.errors import ConfigError, TrainingError
 from resync_robot.core.library import load_library
 from resync_robot.core.lock import LOCK, sole_writer
 from resync_robot.core.rig import load_rig
 from resync_robot.knowledge import learned_model
 from resync_robot.run_settings import SHAPING, RunSettings
+from resync_robot.sim_training import gpu_physics
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.train import TrainConfig
 from tests.libraries import DOMAIN
@@ -69,6 +70,19 @@ def test_cuda_without_a_device_is_an_error_that_says_what_to_use(monkeypatch: py
     with pytest.raises(ConfigError, match="no CUDA device") as caught:
         train.train(TrainConfig(device="cuda"))
     assert "--device cpu" in caught.value.fix
+
+
+def test_gpu_physics_is_missed_before_anything_is_mined(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import torch
+
+    def missed() -> None:
+        raise TrainingError("no GPU physics")
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(gpu_physics, "require_gpu_physics", missed)
+    with pytest.raises(TrainingError, match="no GPU physics"):
+        train.train(TrainConfig(device="cuda", skills="state", out=tmp_path / "run"))
+    assert not (tmp_path / "run" / "stages" / "mining.jsonl").exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
