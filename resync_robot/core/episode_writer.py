@@ -66,6 +66,7 @@ class EpisodeWriter:
         self.error: ResyncError | None = None
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
+        self._plan: tuple[list[str], int | None, str] | None = None
         self._latest, self._last_flush = 0.0, -math.inf
         self._closed = False
         try:
@@ -151,7 +152,15 @@ class EpisodeWriter:
         time = self._since(time)
         texts = [str(s) for s in steps]
         self._json("/plan", time, {"steps": texts, "current": current, "reason": reason})
-        lines = "\n".join(f"{'>' if i == current else ' '} {text}" for i, text in enumerate(texts))
+        self._plan = texts, current, reason
+        self._plan_text(time, ">")
+
+    def _plan_text(self, time: float, mark: str) -> None:
+        """The plan for people, with `mark` at the step that was under way last."""
+        if self._plan is None:
+            return
+        texts, current, reason = self._plan
+        lines = "\n".join(f"{mark if i == current else ' '} {text}" for i, text in enumerate(texts))
         self._ros("/plan_text", "std_msgs/msg/String", time, partial(ros_messages.string, f"{reason}\n{lines}"))
 
     def event(self, time: float, kind: EventKind, text: str = "", **details: Any) -> None:
@@ -160,6 +169,8 @@ class EpisodeWriter:
         self._json("/event", time, {"kind": kind.value, "text": text, "details": details}, flush=True)
         line = partial(ros_messages.log, self._stamp(time), LEVELS.get(kind, 20), kind.value, text)
         self._ros("/rosout", "rcl_interfaces/msg/Log", time, line)
+        if kind is EventKind.SKILL_END:
+            self._plan_text(time, "+" if details.get("ending") == "done" else "x")
 
     def answer(self, answer: Answer) -> None:
         """What the executive was told of the world, on the robot's clock as everything here."""

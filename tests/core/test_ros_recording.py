@@ -119,6 +119,23 @@ def test_every_message_of_every_channel_is_read(path: Path, bag: dict[str, list[
     assert bag["/wrench"][7][1].wrench.force.z == 7.0
 
 
+def test_the_plan_in_words_marks_what_a_step_came_to_when_it_ends(tmp_path: Path) -> None:
+    steps = ["Recover(r, b0, box)", "Pick(r, b1)"]
+    with EpisodeWriter(tmp_path / "e.mcap", META) as writer:
+        writer.event(0.5, EventKind.SKILL_END, "before any plan", ending="done")
+        for i, ending in enumerate(("done", "timeout")):
+            writer.plan(1.0 + i, steps, i, "start")
+            writer.event(1.5 + i, EventKind.SKILL_END, steps[i], ending=ending)
+    words = [(time / 1e9 - BEGAN_NS / 1e9, m.data) for time, m in read(tmp_path / "e.mcap")["/plan_text"]]
+    assert [round(time, 1) for time, _ in words] == [1.0, 1.5, 2.0, 2.5]
+    assert [[line[0] for line in text.splitlines()[1:]] for _, text in words] == [
+        [">", " "],
+        ["+", " "],
+        [" ", ">"],
+        [" ", "x"],
+    ]
+
+
 def test_time_has_its_date_and_runs_forward(bag: dict[str, list[tuple[int, Any]]]) -> None:
     assert bag["/meta"][0][0] == BEGAN_NS
     for topic, messages in bag.items():
