@@ -24,7 +24,7 @@ if ! "$python" -c 'import ensurepip' 2>/dev/null; then
 fi
 
 .venv/bin/python -m pip --version >/dev/null 2>&1 || { rm -rf .venv && "$python" -m venv .venv; }
-echo "Set-up: installing the packages into .venv (8 GB; minutes, by the network)"
+echo "Set-up: installing the packages into .venv (9 GB; minutes, by the network)"
 .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt uv
 
 # uv reads none of pip's settings, but a mirror or certificate that a site gave to pip is meant for it as well.
