@@ -26,11 +26,12 @@ from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.terminals import train_terminal
 from resync_robot.planning.execute import Model, run_skill
 from resync_robot.run_folder import RunFolder, write_json
+from resync_robot.sim_training.block_recovery import RecoveryEnv, scaled_to_device, train_recovery
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.dream import DreamSpec, dream, dream_specs, useful
 from resync_robot.sim_training.mine import Attempt, attempt_task, is_at_rest, resample_failure
 from resync_robot.sim_training.parallel import parallel_map
-from resync_robot.sim_training.ppo import PpoSettings, RecoveryEnv, scaled_to_device, train_recovery
+from resync_robot.sim_training.ppo import PpoSettings
 from resync_robot.sim_training.recovery import RecoverySettings, draw_still, is_recovered
 from resync_robot.sim_training.solver import Solver, with_solver
 from resync_robot.sim_training.vector_env import RecoveryScenes
