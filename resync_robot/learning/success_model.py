@@ -60,6 +60,11 @@ class SuccessModel:
         """How many are remembered."""
         return len(self._y)
 
+    @property
+    def has_both(self) -> bool:
+        """Whether some of them succeeded and some failed."""
+        return 0 < int((self._y > 0.5).sum()) < len(self._y)
+
     def add(self, features: Float[np.ndarray, "n d"], succeeded: Bool[np.ndarray, "n"]) -> None:
         """Remember attempts: where they began, and whether they succeeded."""
         keep = -self.settings.remembered
