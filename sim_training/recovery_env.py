@@ -111,6 +111,16 @@ def try_from(
     return np.stack(features), np.array(succeeded)
 
 
+def teach(model: SuccessModel, tried: Sequence[Sequence[tuple[Float[np.ndarray, " d"], bool]]]) -> None:
+    """Fit the model anew to all that it remembers, and these runs."""
+    runs = [run for some in tried for run in some]
+    if runs:
+        model.add(np.stack([x for x, _ in runs]), np.array([y for _, y in runs]))
+    # As long as all attempts end alike, every state is worth one.
+    if model.has_both:
+        model.fit()
+
+
 class RecoveryEnv:
     """Scenes of one failure, stepped one after the other in this process: an `Environment` of `ppo`.
 
@@ -196,14 +206,19 @@ class RecoveryEnv:
         self._likely = self.model.probability(self._features)
 
     def learn(self) -> None:
-        """The model learns from the runs since the last time, of all scenes; potentials are those of the new model."""
-        if self._tried:
-            self.model.add(np.stack([x for x, _ in self._tried]), np.array([y for _, y in self._tried]))
-            self._tried = []
-        # As long as all attempts end alike, every state is worth one.
-        if self.model.has_both:
-            self.model.fit()
-            self._likely = self.model.probability(self._features)
+        """The model learns from the runs since the last time, of all scenes."""
+        teach(self.model, [self.taken()])
+        self.follow(self.model)
+
+    def taken(self) -> list[tuple[Float[np.ndarray, " d"], bool]]:
+        """The runs of the failed skill since the last time that somebody asked: where each began, and how it ended."""
+        tried, self._tried = self._tried, []
+        return tried
+
+    def follow(self, model: SuccessModel) -> None:
+        """Rewards are those of `model` from here on."""
+        self.model = model
+        self._likely = model.probability(self._features)
 
     # ------------------------------------------------------------------------------------------------------------------
 

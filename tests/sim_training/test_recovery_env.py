@@ -15,6 +15,7 @@ from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
 from resync_robot.sim_training.ppo import PpoSettings, train_policy
 from resync_robot.sim_training.recovery_env import Judge, JudgedSettings, RecoveryEnv, Start, try_from
+from resync_robot.sim_training.shared_env import SharedEnv
 from tests.sim_training.sliding import EMBODIMENT, GRIP_SKILL, HELD, P, Rail, S, see, task_at, true_atoms
 
 JUDGE = Judge(GRIP_SKILL.ground((P, S)), frozenset({HELD(S)}), true_atoms)
@@ -164,3 +165,39 @@ def test_ppo_learns_to_recover_by_the_verdict(shaping: float, while_exploring: f
                 recovered += 1
                 break
     assert recovered >= 18
+
+
+def _part(number: int, count: int) -> RecoveryEnv:
+    return environment(SuccessModel(2, number), count=count)
+
+
+def _no_part(number: int, count: int) -> RecoveryEnv:
+    raise TrainingError("the simulator is broken")
+
+
+def test_processes_step_as_one_environment_and_follow_one_model() -> None:
+    model = SuccessModel(2, 0)
+    model.add(*try_from(EMBODIMENT, anywhere(200), JUDGE, see))
+    model.fit()
+    action = torch.linspace(-1, 1, 6)[:, None]
+    alone = environment(SuccessModel(2, 0), count=3)
+    alone.model.load(model.weights())
+    alone.follow(alone.model)
+    with SharedEnv(_part, model, 6, 2) as env:
+        np.testing.assert_array_equal(env.observe()[:3], alone.observe())
+        for _ in range(25):
+            told, mine = env.step(action), alone.step(action[:3])
+            for column, own in zip(told, mine, strict=True):
+                np.testing.assert_allclose(column[:3], own)
+            over = torch.nonzero(told[2] | told[3]).flatten()
+            env.reset(over)
+            alone.reset(over[over < 3])
+            np.testing.assert_array_equal(env.observe()[:3], alone.observe())
+        before = model.attempts
+        env.learn()
+        assert model.attempts > before
+
+
+def test_a_process_that_cannot_begin_says_why() -> None:
+    with pytest.raises(TrainingError, match="the simulator is broken"):
+        SharedEnv(_no_part, SuccessModel(2, 0), 4, 2)
