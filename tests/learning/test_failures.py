@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from resync_robot.core.errors import TrainingError
+from resync_robot.core.relations import between
 from resync_robot.core.state import State
 from resync_robot.core.symbols import SE2, Type
 from resync_robot.learning.failures import (
@@ -45,6 +46,23 @@ def test_samples_that_agree_can_still_be_drawn_from() -> None:
     assert fitted.sample(np.random.default_rng(0))[:2] == pytest.approx((0.001, 0.002), abs=0.003)
     one = PairGaussian.fit([np.ones(1)] * 3, (1e-3,))
     assert one.covariance == pytest.approx(1e-6)
+
+
+def test_failures_in_the_plane_are_drawn_anew_beside_another_object_elsewhere() -> None:
+    wall, puck = Type("wall", SE2, pose=SE2, symmetry=2), Type("puck", (*SE2, "mass"), pose=SE2)
+    relation, rng = between(wall, puck), np.random.default_rng(0)
+    pucks = np.column_stack([rng.uniform(-2, 2, (40, 2)), rng.uniform(-3, 3, 40), np.ones(40)])
+    wanted = np.array([0.3, -0.1, np.cos(0.8), np.sin(0.8)])
+    failed = np.stack([relation.place(np.zeros(3), p, wanted + rng.normal(0, 0.01, 4), rng) for p in pucks])
+    gaussian = PairGaussian.fit(list(relation.see(failed, pucks)), relation.resolution)
+    np.testing.assert_allclose(gaussian.mean, wanted, atol=0.01)
+    there = np.array([9.0, -7.0, 1.0, 2.0])
+    again = np.stack([relation.place(np.zeros(3), there, gaussian.sample(rng), rng) for _ in range(400)])
+    apart = np.linalg.norm(again[:, :2] - there[:2], axis=1)
+    assert apart.mean() == pytest.approx(np.hypot(0.3, 0.1), abs=5e-3) and 0.005 < apart.std() < 0.02
+    # The wall has two headings that look the same; both are drawn.
+    turned = (again[:, 2] - there[2] - 0.4) % (2 * np.pi)
+    assert 0.3 < np.mean(np.abs(turned - np.pi) < 0.5) < 0.7
 
 
 @pytest.mark.parametrize(
