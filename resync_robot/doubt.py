@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atom, Atoms, Object
+from resync_robot.core.symbols import SE3, Atom, Atoms, Object
 from resync_robot.planning.abstract import HOLDS, Abstraction
 from resync_robot.planning.execute import Model
 
@@ -107,10 +107,8 @@ def samples(state: State, count: int) -> list[State]:
         normal = np.random.default_rng([*obj.name.encode(), 17]).standard_normal((count, len(values)))
         # The symmetric root: the axes of equal values, and the signs of all, are the eigensolver's whim.
         features = state[obj] + normal @ ((axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T)
-        names = obj.type.features
-        if "qw" in names:
-            quaternion = slice(names.index("qw"), names.index("qw") + 4)
-            features[:, quaternion] /= np.linalg.norm(features[:, quaternion], axis=1, keepdims=True)
+        if obj.type.pose == SE3:
+            features[:, 3:7] /= np.linalg.norm(features[:, 3:7], axis=1, keepdims=True)
         for one, row in zip(drawn, features, strict=True):
             one[obj] = row
     return [State(one) for one in drawn]

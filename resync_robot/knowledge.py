@@ -85,7 +85,9 @@ def learned_model(domain: Domain, rig: Rig, library: Library, recovery: Skill | 
         raise LibraryError(f"the library holds no skill '{domain.recovery}'", RETRAIN)
     known = {p.name: domain.classifiers[p.name] for p in domain.predicates}
     types = {t.name: t for t in domain.types}
-    predicates, classifiers, operators = load_concepts(library.domain_pddl, library.predicates, types, known)
+    predicates, classifiers, operators = load_concepts(
+        library.domain_pddl, library.predicates, types, known, domain.relations
+    )
     # What the domain was given since the library was learned, a predicate or a skill with its operator, comes with it.
     predicates += tuple(p for p in domain.predicates if p.name not in {q.name for q in predicates})
     operators += tuple(o for o in domain.operators if o.name not in {q.name for q in operators})

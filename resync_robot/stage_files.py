@@ -14,6 +14,7 @@ from safetensors.numpy import load_file
 from resync_robot.core.damage import Shape, check_shape, reading
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.library import Record
+from resync_robot.core.relations import between
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.core.vocabulary import TYPES
@@ -72,7 +73,8 @@ class Mined:
         }
 
     def tasks(self, domain: Domain) -> list[Task]:
-        return [resample_failure(domain, self.scenario, self.relevant, self.before, s) for s in self.seeds]
+        pair = self.relevant, self.culprit.failure_object
+        return [resample_failure(domain, self.scenario, *pair, self.before, s) for s in self.seeds]
 
 
 def read_mined(path: Path, domain: Domain) -> Mined | None:
@@ -92,10 +94,12 @@ def read_mined(path: Path, domain: Domain) -> Mined | None:
         culprit = Culprit(
             saved["skill"], TYPES[saved["failure_object_type"]](saved["failure_object"]), saved["relevant_argument"]
         )
+        relevant = TYPES[saved["relevant_type"]](saved["relevant"])
+        relation = between(relevant.type, culprit.failure_object.type, domain.relations)
         return Mined(
             culprit,
-            TYPES[saved["relevant_type"]](saved["relevant"]),
-            PairGaussian.from_json(saved["before"]),
+            relevant,
+            PairGaussian.from_json(saved["before"], len(relation.names)),
             tuple(saved["seeds"]),
             domain.scenario(saved["scenario"]).name,
         )

@@ -56,7 +56,8 @@ def dream_task(spec: DreamSpec, domain: Domain, gaussians: Mapping[str, PairGaus
         return domain.practice(rng, spec.seed)
     blocks = 3 if spec.reference == "bystander" else int(rng.integers(2, 4))
     task = domain.dream(rng, spec.seed, blocks)
-    return domain.relocate(task, BLOCK(REFERENCES[spec.reference]), gaussians[spec.when].sample(rng), rng)
+    reference, box = BLOCK(REFERENCES[spec.reference]), task.initial.of_type(BOX)[0]
+    return domain.relocate(task, reference, box, gaussians[spec.when].sample(rng), rng)
 
 
 def dream(

@@ -88,8 +88,10 @@ def attempt_task(task: Task, model: Model, rig: Rig) -> Attempt | None:
     return Attempt(task, Trajectory(result.transitions, task.goal, result.success, "mining"), failure)
 
 
-def resample_failure(domain: Domain, scenario: str, relevant: Object, gaussian: PairGaussian, seed: int) -> Task:
-    """A new initial state with the relevant object and the failure object in a relative pose from the Gaussian."""
+def resample_failure(
+    domain: Domain, scenario: str, relevant: Object, beside: Object, gaussian: PairGaussian, seed: int
+) -> Task:
+    """A new initial state with the relevant object beside the failure object in a way drawn from the Gaussian."""
     rng = np.random.default_rng(seed)
     task = domain.scenario(scenario).sample_practice(rng, seed)
-    return domain.relocate(task, relevant, gaussian.sample(rng), rng)
+    return domain.relocate(task, relevant, beside, gaussian.sample(rng), rng)

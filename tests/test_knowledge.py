@@ -63,7 +63,7 @@ def test_a_library_comes_back_as_the_model_it_was_made_of() -> None:
             "experience": {"Pick": [{"predicate": "HandEmpty", "argument": 0, "held": [1, 2], "otherwise": [0, 3]}]},
         },
     )
-    gaussian = PairGaussian.fit([torch.rand(4).numpy() for _ in range(5)])
+    gaussian = PairGaussian.fit([torch.rand(4).numpy() for _ in range(5)], (1e-3,) * 4)
     library = make_library(CORNERED, RIG, recovery_record(), {"before": gaussian}, concepts, {"seed": 1})
     model = learned_model(CORNERED, RIG, library)
     assert set(model.operators) == set(CORNERED.operators)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from resync_robot.core.errors import PlanningError, UnknownNameError
+from resync_robot.core.relations import Relation, moved
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, Object, Operator, Predicate, Term, Type
 
@@ -54,14 +55,13 @@ class Domain:
     Attributes:
         classifiers: predicate name -> function of (state, objects) -> probability that it holds.
         recovery: name of the skill to be learned.
-        relocate: (task, object, relative pose, rng) -> the task with that object and the failure object in the
-            relative pose; how failure mining and dreaming resample states.
         dream: (rng, seed, how many objects of the relevant type) -> a task in which all of them begin free.
         practice: (rng, seed) -> a task with one object somewhere between trapped and free, or covered.
         expert: (state, goal) -> the skill sequence that a person would give: (skill name, objects) each.
         instruction: what the recovery does, in a sentence, for datasets and policies that read one.
         stacking: two-place predicates that put one thing upon another: a thing is upon one other at most, and never,
             by whatever way round, upon itself. The given model need not know; goals are checked by it.
+        relations: how objects of two types lie beside each other, where the default of `core.relations` does not do.
     """
 
     name: str
@@ -71,12 +71,17 @@ class Domain:
     operators: tuple[Operator, ...]
     scenarios: Mapping[str, Scenario]
     recovery: str
-    relocate: Callable[[Task, Object, tuple[float, float, float], np.random.Generator], Task]
     dream: Callable[[np.random.Generator, int, int], Task]
     practice: Callable[[np.random.Generator, int], Task]
     expert: Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
     instruction: str = ""
     stacking: tuple[Predicate, ...] = ()
+    relations: Mapping[tuple[Type, Type], Relation] = field(default_factory=dict)
+
+    def relocate(self, task: Task, obj: Object, beside: Object, relative: np.ndarray, rng: np.random.Generator) -> Task:
+        """The task with one object beside another as `relative` says, in the columns of their relation: how failure
+        mining and dreaming resample states."""
+        return replace(task, initial=moved(task.initial, obj, beside, relative, rng, self.relations))
 
     def predicate(self, name: str) -> Predicate:
         for p in self.predicates:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from resync_robot.core.errors import TrainingError, UnknownNameError
+from resync_robot.core.relations import Relations
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Type, Variable, distinct_products
 from resync_robot.core.trajectory import Trajectory
 from resync_robot.learning.classifiers import NeuralClassifier
@@ -114,7 +115,7 @@ def learn_concepts(
         attempted = {step.skill for run in dataset.runs for step in (*run.steps, *run.failures)}
         tried = [op.name for op in given.operators if op.name in attempted]
         proposals += affordances(recovery, tried, dataset.signatures)
-    kept, log = _train(dataset, proposals, explained, config, seed, progress)
+    kept, log = _train(dataset, proposals, explained, config, seed, given.relations, progress)
     # A candidate that attempts label supersedes the one with the same effects whose boundary is left to luck.
     better = {(c.types, c.effects) for c, _ in kept if c.attempts is not None}
     kept = [(c, f) for c, f in kept if c.attempts is not None or (c.types, c.effects) not in better]
@@ -163,6 +164,7 @@ def _train(
     explained: Collection[Step],
     config: ConceptConfig,
     seed: int,
+    relations: Relations,
     progress: Progress,
 ) -> tuple[list[tuple[Candidate, Fit]], list[dict[str, Any]]]:
     """Contradictions out, a small net for each that is left, the full one where the small one fits."""
@@ -179,7 +181,7 @@ def _train(
             continue
         labelled = candidate.attempts is not None
         try:
-            small = fit(dataset, candidate, supervision, seed + i, config.screening)
+            small = fit(dataset, candidate, supervision, seed + i, config.screening, relations)
         except TrainingError as error:
             entry["verdict"] = error.what
             continue
@@ -187,7 +189,7 @@ def _train(
         if small.loss > (config.max_screening_loss_attempts if labelled else config.max_screening_loss):
             entry["verdict"] = "does not fit (small net)"
             continue
-        result = fit(dataset, candidate, supervision, seed + i, config.fit)
+        result = fit(dataset, candidate, supervision, seed + i, config.fit, relations)
         entry |= {"train_loss": round(result.train_loss, 4), "loss": round(result.loss, 4)}
         entry["accuracy"] = round(result.accuracy, 4)
         fits = result.accuracy >= config.min_accuracy if labelled else result.loss <= config.max_loss

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from resync_robot.core.errors import TrainingError
+from resync_robot.core.relations import DEFAULTS, Relations
 from resync_robot.core.symbols import Object
 from resync_robot.learning.classifiers import NeuralClassifier
 from resync_robot.learning.dataset import Dataset
@@ -96,7 +97,14 @@ class _Examples:
     pair_run: np.ndarray
 
 
-def fit(dataset: Dataset, candidate: Candidate, supervision: Supervision, seed: int, config: FitConfig = PAPER) -> Fit:
+def fit(
+    dataset: Dataset,
+    candidate: Candidate,
+    supervision: Supervision,
+    seed: int,
+    config: FitConfig = PAPER,
+    relations: Relations = DEFAULTS,
+) -> Fit:
     """Train one classifier; the same seed gives the same weights on one machine.
 
     Raises:
@@ -108,7 +116,7 @@ def fit(dataset: Dataset, candidate: Candidate, supervision: Supervision, seed: 
     rows = gather([dataset.states[s] for s, _ in keys], [args for _, args in keys])
     rng = np.random.default_rng(seed)
     held_out = _held_out(examples, len(dataset.runs), rng)
-    clean = relative_features(candidate.types, rows)
+    clean = relative_features(candidate.types, rows, relations)
     mean, scale = clean.mean(0), clean.std(0)
     # What hardly varies is left at its size: dividing by a spread near zero would blow up its noise.
     scale = np.where(scale < 1e-4, 1.0, scale)
@@ -116,7 +124,8 @@ def fit(dataset: Dataset, candidate: Candidate, supervision: Supervision, seed: 
     def inputs() -> Tensor:
         typed = zip(candidate.types, rows, strict=True)
         noisy = [perturb(kind, r, rng, config.position_m, config.angle) for kind, r in typed]
-        return torch.from_numpy(((relative_features(candidate.types, noisy) - mean) / scale).astype(np.float32))
+        features = relative_features(candidate.types, noisy, relations)
+        return torch.from_numpy(((features - mean) / scale).astype(np.float32))
 
     with torch.random.fork_rng():
         torch.manual_seed(seed)
@@ -130,7 +139,8 @@ def fit(dataset: Dataset, candidate: Candidate, supervision: Supervision, seed: 
         train = float(_loss(logits, examples, ~held_out[examples.label_run], ~held_out[examples.pair_run]))
     accuracy = _balanced_accuracy(logits.numpy(), examples, held_out[examples.label_run] & examples.direct)
     layers = _folded(net)
-    classifier = NeuralClassifier(candidate.types, mean.astype(np.float32), scale.astype(np.float32), layers)
+    normaliser = mean.astype(np.float32), scale.astype(np.float32)
+    classifier = NeuralClassifier(candidate.types, *normaliser, layers, relations)
     return Fit(classifier, train, best_loss, accuracy)
 
 

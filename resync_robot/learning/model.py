@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import RETRAIN, Record
+from resync_robot.core.relations import DEFAULTS, Relations
 from resync_robot.core.symbols import Atom, Atoms, Operator, Predicate, Type
 from resync_robot.learning.classifiers import KIND, NeuralClassifier
 from resync_robot.learning.effects import Candidate
@@ -33,6 +34,8 @@ class GivenModel(Protocol):
     def classifiers(self) -> Mapping[str, Classifier]: ...
     @property
     def operators(self) -> tuple[Operator, ...]: ...
+    @property
+    def relations(self) -> Relations: ...
 
 
 @dataclass(frozen=True)
@@ -67,12 +70,17 @@ class _Named:
 
 
 def load_concepts(
-    domain_pddl: str, records: Mapping[str, Record], types: Mapping[str, Type], given: Mapping[str, Classifier]
+    domain_pddl: str,
+    records: Mapping[str, Record],
+    types: Mapping[str, Type],
+    given: Mapping[str, Classifier],
+    relations: Relations = DEFAULTS,
 ) -> tuple[tuple[Predicate, ...], dict[str, Classifier | Form], tuple[Operator, ...]]:
     """(predicates, classifiers, operators) from the texts and records of a library.
 
     Args:
         given: classifiers of the predicates that are not learned.
+        relations: those that the domain declares.
 
     Raises:
         LibraryError: a predicate of the domain has neither a given classifier nor a readable record.
@@ -89,7 +97,7 @@ def load_concepts(
             continue
         if record.meta.get("kind") != KIND:
             raise LibraryError(f"the record of {name} is of kind {record.meta.get('kind')!r}", RETRAIN)
-        classifier = NeuralClassifier.from_record(name, record, types)
+        classifier = NeuralClassifier.from_record(name, record, types, relations)
         if classifier.types != by_name[name].types:
             raise LibraryError(f"domain.pddl and the record of {name} disagree about its types", RETRAIN)
         classifiers[name] = classifier

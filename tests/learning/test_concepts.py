@@ -146,7 +146,9 @@ def test_concepts_survive_a_library(concepts: Concepts, tmp_path) -> None:
     library = Library("toy-insertion", "hash", concepts.report["pddl"], concepts.records, {}, {}, {})
     save_library(library, tmp_path / "library")
     loaded = load_library(tmp_path / "library")
-    predicates, classifiers, operators = load_concepts(loaded.domain_pddl, loaded.predicates, TYPES, DOMAIN.classifiers)
+    predicates, classifiers, operators = load_concepts(
+        loaded.domain_pddl, loaded.predicates, TYPES, DOMAIN.classifiers, DOMAIN.relations
+    )
     assert set(predicates) == set(concepts.predicates) and set(operators) == set(concepts.operators)
     toy = Toy(4)
     for kind in ("corner", "free", "gap"):

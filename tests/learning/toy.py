@@ -11,12 +11,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from resync_robot.core.relations import Relations
 from resync_robot.core.spatial import quat_from_yaw, yaw_of
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, Predicate, Type, Variable
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT, TYPES
-from resync_robot.learning.features import in_box, perturb
+from resync_robot.learning.features import perturb
+from resync_robot.sim_training.domains.corner import RELATIONS, in_box
 
 HAND_EMPTY, HOLDING = Predicate("HandEmpty", (ROBOT,)), Predicate("Holding", (ROBOT, BLOCK))
 ON = Predicate("On", (BLOCK, BLOCK))
@@ -43,6 +45,7 @@ class Given:
     predicates: tuple[Predicate, ...]
     classifiers: Mapping[str, Callable[[State, tuple[Object, ...]], float]]
     operators: tuple[Operator, ...]
+    relations: Relations = field(default_factory=dict)
 
 
 SIZE, HEIGHT = 0.06, 0.045
@@ -70,6 +73,7 @@ DOMAIN = Given(
     (HAND_EMPTY, HOLDING, ON),
     {"HandEmpty": _hand_empty, "Holding": _holding, "On": _on},
     (PICK, INSERT),
+    RELATIONS,
 )
 
 
