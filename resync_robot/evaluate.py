@@ -292,7 +292,8 @@ def _context(
         given = initial.abstraction
         methods[i, "rc"] = given, partial(plan_f, model=with_skill, reaction=reaction)
         methods[i, "initial"] = given, partial(plan_f, model=initial)
-        methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
+        if domain.expert is not None:
+            methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
     solver = REFERENCE if reference else SHIPPED
     return _Context(domain, rig, perception, worlds, solver, initial, methods)
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from resync_robot.core import spatial
+from resync_robot.core.embodiment import Stage
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Variable
 from resync_robot.core.task import Domain, Scenario, Task
@@ -241,7 +242,7 @@ CORNERED_INSERTION_S = Domain(
     predicates=(HAND_EMPTY, HOLDING, ON),
     classifiers={"HandEmpty": hand_empty, "Holding": holding, "On": on},
     operators=(PICK, INSERT, PLACE),
-    recovery="Recover",
+    stages=(Stage(recovery="Recover", scenario="s0", horizon=80),),
     instruction="Drag the block out of the corner of the box.",
     relocate=relocate,
     dream=dream_task,
