@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -113,6 +114,17 @@ class Domain:
     def recovery(self) -> str:
         """The skill that the first stage learns."""
         return self.stages[0].recovery
+
+    @property
+    def types_hash(self) -> str:
+        """Of the names and features of its types: what was learned of others says nothing here."""
+        words = "; ".join(f"{t.name}({', '.join(t.features)})" for t in sorted(self.types))
+        return hashlib.sha256(words.encode()).hexdigest()[:16]
+
+    def world_number(self, scenario: str) -> int:
+        """What sets the worlds of evaluation of one scenario apart from those of the others, whatever their order."""
+        by_name = int.from_bytes(hashlib.sha256(scenario.encode()).digest()[:8])
+        return self.world_numbers.get(scenario, by_name)
 
     def predicate(self, name: str) -> Predicate:
         for p in self.predicates:
