@@ -38,7 +38,7 @@ class EvaluateConfig:
     """Measure success rates in simulated worlds that no training has seen."""
 
     domain: str = "cornered-insertion-s"
-    """The domain to evaluate in."""
+    """The domain to evaluate in: a name, a file (path.py or path.py:NAME), or package.module:NAME."""
 
     library: Several[Path] = ()
     """Library folders, one for each training seed. Default: the shipped one."""
@@ -130,6 +130,7 @@ def evaluate(config: EvaluateConfig) -> None:
     from resync_robot.result_file import ResultFile
     from resync_robot.run_folder import git_hash
     from resync_robot.sim_training.domains import find_domain
+    from resync_robot.sim_training.domains.finding import lasting_spec
     from resync_robot.sim_training.parallel import parallel_map
     from resync_robot.sources import evaluated_sources, in_words
 
@@ -197,7 +198,7 @@ def evaluate(config: EvaluateConfig) -> None:
         parse=_parse,
     )
     drawn = (config.worlds, physics == "reference")
-    context = partial(_context, config.domain, tuple(map(str, paths)), perception, skills, *drawn, rig)
+    context = partial(_context, lasting_spec(config.domain), tuple(map(str, paths)), perception, skills, *drawn, rig)
     # Written before the table, so that it is kept where nobody reads that.
     with file.open(config.resume), _naming_the_way_without_pictures():
         if note:
@@ -292,7 +293,8 @@ def _context(
         given = initial.abstraction
         methods[i, "rc"] = given, partial(plan_f, model=with_skill, reaction=reaction)
         methods[i, "initial"] = given, partial(plan_f, model=initial)
-        methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
+        if domain.expert is not None:
+            methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
     solver = REFERENCE if reference else SHIPPED
     return _Context(domain, rig, perception, worlds, solver, initial, methods)
 

@@ -81,6 +81,8 @@ def learned_model(domain: Domain, rig: Rig, library: Library, recovery: Skill | 
     """
     if library.domain != domain.name:
         raise LibraryError(f"the library was learned in '{library.domain}', not in '{domain.name}'", RETRAIN)
+    if library.types_hash not in ("", domain.types_hash):
+        raise LibraryError(f"the types of '{domain.name}' are not those any more that the library knows", RETRAIN)
     if domain.recovery not in library.skills:
         raise LibraryError(f"the library holds no skill '{domain.recovery}'", RETRAIN)
     known = {p.name: domain.classifiers[p.name] for p in domain.predicates}
@@ -149,6 +151,7 @@ def make_library(
             "experience": concepts.report.get("experience", {}),
         },
         policies={domain.recovery: policy} if policy else {},
+        types_hash=domain.types_hash,
     )
 
 

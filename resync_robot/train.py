@@ -34,7 +34,8 @@ class TrainConfig:
     # None stands for what was not given: a run that is resumed keeps what it began with, and takes nothing else.
 
     domain: Given[str] = None
-    """The domain to train in. Default: cornered-insertion-s."""
+    """The domain to train in: a name, a file (path.py or path.py:NAME), or package.module:NAME. Default:
+    cornered-insertion-s."""
 
     preset: Annotated[
         Literal["smoke", "quick", "full"] | None,
@@ -85,18 +86,21 @@ def train(config: TrainConfig) -> None:
     from resync_robot.progress import say
     from resync_robot.run_settings import CONFIG, SHAPING, RunSettings
     from resync_robot.sim_training.domains import find_domain
+    from resync_robot.sim_training.domains.finding import lasting_spec
 
     given = {name: getattr(config, name) for name in SHAPING if getattr(config, name) is not None}
+    if "domain" in given:
+        given["domain"] = lasting_spec(given["domain"])
     begun = RunSettings(**given)
-    find_domain(begun.domain)
+    name = find_domain(begun.domain).name
     check_seed(begun.seed)
     check_range("--workers", config.workers, 1, MOST_WORKERS)
     if config.resume:
-        path = config.out or run_folder.latest_folder(begun.domain)
+        path = config.out or run_folder.latest_folder(name)
         if not (path / CONFIG).exists():
             raise ConfigError(f"{path} holds no run to resume", "start one without --resume")
     else:
-        path = config.out or run_folder.default_folder(begun.domain)
+        path = config.out or run_folder.default_folder(name)
     run_folder.check_folder(path)
     with sole_writer(path / LOCK, path, "give another folder with --out"):
         settings, rig = _resumed(path, given) if config.resume else (_new(path, begun), None)
@@ -143,9 +147,9 @@ def _new(path: Path, settings: RunSettings) -> RunSettings:
 
 def _resumed(path: Path, given: Mapping[str, Any]) -> tuple[RunSettings, str | None]:
     from resync_robot.run_settings import read_settings
-    from resync_robot.sim_training.domains import DOMAINS
+    from resync_robot.sim_training.domains import find_domain
 
-    return read_settings(path, given, tuple(DOMAINS))
+    return read_settings(path, given, find_domain)
 
 
 def _kept(settings: RunSettings, folder: RunFolder) -> dict[str, Any]:

@@ -52,7 +52,7 @@ def dream_specs(dreams: int, attempts: int, first_seed: int) -> list[DreamSpec]:
 def dream_task(spec: DreamSpec, domain: Domain, gaussians: Mapping[str, PairGaussian]) -> Task:
     """The counterfactual initial state."""
     rng = np.random.default_rng(spec.seed)
-    if spec.when == "attempt":
+    if spec.when == "attempt" and domain.practice is not None:
         return domain.practice(rng, spec.seed)
     blocks = 3 if spec.reference == "bystander" else int(rng.integers(2, 4))
     task = domain.dream(rng, spec.seed, blocks)

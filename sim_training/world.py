@@ -16,7 +16,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, ROBOT
-from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Observation, Window
+from resync_robot.core.world import ArmObservation, CameraFrame, Cutout, Glimpse, Window
 from resync_robot.sim_training.scene import (
     TORQUE,
     BuiltScene,
@@ -97,9 +97,17 @@ class SimWorld:
         q, qd = qpos[self.built.arm_index], qvel[self.built.arm_index]
         return q, qd, float(qpos[self.built.finger_index].sum()), self._tip_force(q)
 
-    def observe(self, live: bool = False) -> Observation:
+    def observe(self, live: bool = False) -> ArmObservation:
         q, qd, opening, force = self.measure()
-        return Observation(self.time, q, qd, opening, self._target.opening, force, self.state(q, opening))
+        return ArmObservation(
+            time=self.time,
+            state=self.state(q, opening),
+            arm=q,
+            arm_velocity=qd,
+            opening=opening,
+            told_opening=self._target.opening,
+            tip_force=force,
+        )
 
     def perceive(self) -> State:
         """The true state: an oracle, for training and for measuring what perception costs."""

@@ -61,6 +61,8 @@ class Library:
     execution: Mapping[str, Any] = field(default_factory=dict)
     policies: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict)
     """By skill: file name -> content."""
+    types_hash: str = ""
+    """Of the domain's types (`Domain.types_hash`); empty in a library that was saved without."""
 
     @property
     def content_hash(self) -> str:
@@ -87,6 +89,7 @@ def save_library(library: Library, folder: Path) -> None:
         "version": VERSION,
         "domain": library.domain,
         "rig_hash": library.rig_hash,
+        "types_hash": library.types_hash,
         "content_hash": library.content_hash,
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())},
     }
@@ -141,6 +144,7 @@ def load_library(folder: Path) -> Library:
         provenance=_parse(folder, "provenance.json", contents["provenance.json"]),
         execution=_parse(folder, "execution.json", contents["execution.json"]),
         policies=_policies(contents),
+        types_hash=str(manifest.get("types_hash", "")),
     )
 
 

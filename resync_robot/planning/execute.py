@@ -9,15 +9,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
+from typing import Any, Protocol
 
 from resync_robot.core.errors import InterruptedMotionError, PlanningError, UnknownNameError
-from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator
 from resync_robot.core.trajectory import Transition
-from resync_robot.core.world import Observation, World
+from resync_robot.core.world import EffortLimited, Observation, World
 from resync_robot.planning.abstract import HOLDS, Abstraction
 from resync_robot.planning.risk import Risk
 from resync_robot.planning.search import Plan
@@ -103,7 +102,7 @@ class Listener:
 
     def on_skill_start(self, skill: GroundSkill) -> None: ...
 
-    def on_control(self, observation: Observation, target: JointTarget) -> None: ...
+    def on_control(self, observation: Observation, action: Any) -> None: ...
 
     def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None: ...
 
@@ -257,7 +256,9 @@ def run_skill(world: World, ground: GroundSkill, listener: Listener | None = Non
     listener = listener or Listener()
     skill = ground.skill
     listener.on_skill_start(ground)
-    world.limit_effort(skill.effort_limit)
+    arm = world if isinstance(world, EffortLimited) else None
+    if arm is not None:
+        arm.limit_effort(skill.effort_limit)
     observation = world.observe(skill.live_state)
     policy = skill.start(ground.objects, observation)
     steps = 0
@@ -276,7 +277,8 @@ def run_skill(world: World, ground: GroundSkill, listener: Listener | None = Non
         if steps > skill.time_limit_s * skill.rate_hz:
             answer = Outcome(Ending.TIMEOUT, f"not done after {skill.time_limit_s:.0f} s")
             break
-    world.limit_effort(None)
+    if arm is not None:
+        arm.limit_effort(None)
     listener.on_skill_end(ground, answer)
     return answer
 

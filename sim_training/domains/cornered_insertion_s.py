@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from resync_robot.core import spatial
+from resync_robot.core.embodiment import Stage
 from resync_robot.core.relations import moved, seen
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Variable
@@ -218,7 +219,6 @@ SCENARIOS = (
         Layout(gapped=("b0",), free=("b1",)),
         Layout(gapped=("b1",), free=("b0",)),
     ),
-    # A new scenario comes last: the worlds of an evaluation hang on a scenario's position.
     _scenario(
         "s7",
         "test: insert the block in the hand onto the cornered one",
@@ -235,7 +235,7 @@ CORNERED_INSERTION_S = Domain(
     predicates=(HAND_EMPTY, HOLDING, ON),
     classifiers={"HandEmpty": hand_empty, "Holding": holding, "On": on},
     operators=(PICK, INSERT, PLACE),
-    recovery="Recover",
+    stages=(Stage(recovery="Recover", scenario="s0", horizon=80),),
     instruction="Drag the block out of the corner of the box.",
     dream=dream_task,
     practice=practice_task,
@@ -243,4 +243,6 @@ CORNERED_INSERTION_S = Domain(
     stacking=(ON,),
     relations=RELATIONS,
     scenarios={s.name: s for s in SCENARIOS},
+    # Figures were reported of these worlds; a new scenario needs no number.
+    world_numbers={f"s{i}": i for i in range(8)},
 )

@@ -42,7 +42,7 @@ class Kitchen:
 
     def observe(self, live: bool = False) -> Observation:
         self.log.append(f"observe live={live}")
-        return Observation(self.time, np.zeros(6), np.zeros(6), 0.0, 0.0, np.zeros(3), self.state)
+        return Observation(time=self.time, state=self.state)
 
     def act(self, target: JointTarget, duration: float) -> None:
         self.time += duration / self.pace
