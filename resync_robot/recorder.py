@@ -1,4 +1,4 @@
-"""Writes what happens in an episode of Plan_f into its recording."""
+"""Writes what happens in an episode of `plan_and_execute` into its recording."""
 
 from __future__ import annotations
 
