@@ -50,7 +50,7 @@ def test_samples_have_the_mean_and_covariance_of_the_state() -> None:
 @given(st.floats(-3.0, 3.0))
 def test_the_share_is_the_probability_that_the_pose_gives_it(away: float) -> None:
     doubting = DoubtingAbstraction(GIVEN, DoubtSettings(samples=1000))
-    share = doubting.abstract(believed(EDGE - away * SIGMA))[LEFT(B0)]
+    share = doubting.shares(believed(EDGE - away * SIGMA))[LEFT(B0)]
     assert share == pytest.approx(norm.cdf(away), abs=0.06)
 
 
@@ -75,7 +75,7 @@ def test_far_from_the_edge_nothing_is_in_doubt() -> None:
 def test_the_likelier_side_is_what_a_plan_may_rely_on_where_it_must() -> None:
     for away, likelier in ((-0.4, LEFT(B0)), (0.4, NOT_LEFT(B0))):
         beliefs = AtomBeliefs({})
-        beliefs.perceived(DoubtingAbstraction(GIVEN).abstract(believed(EDGE + away * SIGMA)))
+        beliefs.perceived(DoubtingAbstraction(GIVEN).shares(believed(EDGE + away * SIGMA)))
         assert beliefs.certain() == {LEFT(B1)} and beliefs.likely().keys() == {likelier}
 
 
