@@ -274,7 +274,7 @@ def _context(
     from resync_robot.core.library import load_library
     from resync_robot.doubt import doubting
     from resync_robot.knowledge import camera_recovery, initial_model, learned_model, model_with_recovery
-    from resync_robot.planning.execute import plan_f
+    from resync_robot.planning.execute import plan_and_execute
     from resync_robot.sim_training.domains import find_domain
     from resync_robot.sim_training.solver import REFERENCE, SHIPPED
 
@@ -286,13 +286,13 @@ def _context(
         # First, for it says what a library lacks.
         recovery = camera_recovery(domain, rig, library) if skills == "camera" else None
         learned = doubting(learned_model(domain, rig, library, recovery))
-        methods[i, "resync"] = learned.abstraction, partial(plan_f, model=learned)
+        methods[i, "resync"] = learned.abstraction, partial(plan_and_execute, model=learned)
         record = library.skills[domain.recovery]
         with_skill = doubting(model_with_recovery(domain, rig, record, recovery))
         reaction = RecoveryChaining(with_skill.skill(domain.recovery), record)
         given = initial.abstraction
-        methods[i, "rc"] = given, partial(plan_f, model=with_skill, reaction=reaction)
-        methods[i, "initial"] = given, partial(plan_f, model=initial)
+        methods[i, "rc"] = given, partial(plan_and_execute, model=with_skill, reaction=reaction)
+        methods[i, "initial"] = given, partial(plan_and_execute, model=initial)
         if domain.expert is not None:
             methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
     solver = REFERENCE if reference else SHIPPED

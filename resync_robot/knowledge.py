@@ -1,4 +1,4 @@
-"""Models for Plan_f: the given one, the given one with a recovery skill, and the one that a library holds."""
+"""Models to plan with: the given one, the given one with a recovery skill, and the one that a library holds."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from resync_robot.core.symbols import Operator, Predicate, Type
 from resync_robot.core.task import Domain
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.model import Concepts, load_concepts
-from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import Affordance, Model
+from resync_robot.planning.abstract import Abstraction, Classifier, Form
+from resync_robot.planning.execute import Model
+from resync_robot.planning.outcome_costs import OutcomeCosts, Tally
 from resync_robot.planning.pddl import domain_to_pddl
-from resync_robot.planning.risk import Risk, Tally
 
 
 def shipped_library(domain: str) -> Path:
@@ -95,20 +95,32 @@ def learned_model(domain: Domain, rig: Rig, library: Library, recovery: Skill | 
     operators += tuple(o for o in domain.operators if o.name not in {q.name for q in operators})
     skills = dict(model_with_recovery(domain, rig, library.skills[domain.recovery], recovery).skills)
     try:
-        affordances = {
-            skill: Affordance(str(entry["predicate"]), int(entry["argument"]))
-            for skill, entry in library.execution.get("affordances", {}).items()
-        }
         for variant, base in library.execution.get("variants", {}).items():
             operator = next(o for o in operators if o.name == variant)
             skills[variant] = _variant(variant, skills[base], tuple(v.type for v in operator.parameters))
-        risk = _risk(library.execution.get("experience", {}), predicates, operators)
+        costs = _costs(library.execution.get("experience", {}), predicates, operators)
     except (AttributeError, IndexError, KeyError, StopIteration, TypeError, ValueError) as error:
         raise LibraryError(f"execution.json does not fit domain.pddl: {error!r}", RETRAIN) from error
-    return Model(skills, Abstraction(predicates, classifiers), operators, affordances, risk)
+    learned = [p.name for p in predicates if _base(p.name, classifiers) not in known]
+    errors = {name: _error(name, classifiers, library) for name in learned}
+    return Model(skills, Abstraction(predicates, classifiers), operators, errors, costs)
 
 
-def _risk(experience: Mapping[str, Any], predicates: tuple[Predicate, ...], operators: tuple[Operator, ...]) -> Risk:
+def _base(predicate: str, classifiers: Mapping[str, Classifier | Form]) -> str:
+    """The predicate that this one is derived from in the end, or itself."""
+    form = classifiers[predicate]
+    return _base(form.base.name, classifiers) if isinstance(form, Form) else predicate
+
+
+def _error(predicate: str, classifiers: Mapping[str, Classifier | Form], library: Library) -> float | None:
+    """The share of held-out cases in which the classifier of a learned predicate was wrong, where that is known."""
+    accuracy = library.predicates[_base(predicate, classifiers)].meta.get("accuracy")
+    return 1.0 - accuracy if isinstance(accuracy, int | float) and 0.0 <= accuracy <= 1.0 else None
+
+
+def _costs(
+    experience: Mapping[str, Any], predicates: tuple[Predicate, ...], operators: tuple[Operator, ...]
+) -> OutcomeCosts:
     by_name, signatures = {p.name: p for p in predicates}, {o.name: o.parameters for o in operators}
     tallies: dict[str, list[Tally]] = {skill: [] for skill in experience}
     for skill, entries in experience.items():
@@ -120,7 +132,7 @@ def _risk(experience: Mapping[str, Any], predicates: tuple[Predicate, ...], oper
             if not (0 <= held[0] <= held[1] and 0 <= otherwise[0] <= otherwise[1]):
                 raise ValueError(f"{skill} succeeded more often than it was tried")
             tallies[skill].append(Tally(predicate, argument, held, otherwise))
-    return Risk(tallies)
+    return OutcomeCosts(tallies)
 
 
 def make_library(

@@ -1,4 +1,4 @@
-"""Writes what happens in an episode of Plan_f into its recording."""
+"""Writes what happens in an episode of `plan_and_execute` into its recording."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ class Recorder(Listener):
         words = ", ".join(f"{atom} {share:.2f}" for atom, share in sorted(atoms.items()))
         details = {str(atom): share for atom, share in atoms.items()}
         self._writer.event(self._clock(), EventKind.DOUBT, f"after {looks} looks: {words}", shares=details)
-        self._tell(f"  in doubt after {looks} looks, and taken for false: {words}")
+        self._tell(f"  in doubt after {looks} looks, and not counted on: {words}")
 
     def on_unsettled(self, names: Sequence[str], words: str) -> None:
         """Objects that are not, or not well, where the belief has them."""

@@ -15,7 +15,7 @@ from resync_robot.core.trajectory import Trajectory
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.core.world import Observation
 from resync_robot.learning.failures import Failure, PairGaussian
-from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_f
+from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute
 from resync_robot.sim_training.world import SimWorld
 
 SETTLING = 0.2
@@ -74,7 +74,7 @@ def attempt_task(task: Task, model: Model, rig: Rig) -> Attempt | None:
     if not is_at_rest(world):
         return None
     monitor = ContactMonitor(world)
-    result = plan_f(world, model, task.goal, ExecuteSettings(max_failures=1), monitor)
+    result = plan_and_execute(world, model, task.goal, ExecuteSettings(max_failures=1), monitor)
     failed = [t for t in result.transitions if not t.succeeded]
     failure = None
     if failed:

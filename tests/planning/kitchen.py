@@ -104,7 +104,7 @@ def model(world: Kitchen, **changes: object) -> Model:
         {name: skill(name) for name in does},
         Abstraction(PREDICATES, classifiers),
         changes.get("operators", (UNLID, FILL, WIPE)),
-        changes.get("affordances", {}),
+        changes.get("learned", {}),
     )
 
 
