@@ -19,18 +19,19 @@ import numpy as np
 from resync_robot.core.embodiment import Embodiment, Stage
 from resync_robot.core.skill import Ending, Outcome, Skill
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object, Operator, Predicate, Type, Variable
+from resync_robot.core.symbols import ROUND, SE2, Object, Operator, Predicate, Type, Variable
 from resync_robot.core.task import Domain, Scenario, Task
 from resync_robot.core.world import Observation
 
 # -- what there is ----------------------------------------------------------------------------------------------------
 
-ROBOT = Type("robot", ("x", "y", "theta", "diameter", "grip"))
-PUCK = Type("puck", ("x", "y", "theta", "diameter"))
-PAD = Type("pad", ("x", "y", "theta", "diameter"))
-DOOR = Type("door", ("x", "y", "theta", "length", "thickness"))
+_DISC: Mapping[str, Any] = {"pose": SE2, "extents": ("diameter", "diameter"), "symmetry": ROUND}
+ROBOT = Type("robot", ("x", "y", "theta", "diameter", "grip"), exact=True, **_DISC)
+PUCK = Type("puck", ("x", "y", "theta", "diameter"), **_DISC)
+PAD = Type("pad", ("x", "y", "theta", "diameter"), **_DISC)
+DOOR = Type("door", ("x", "y", "theta", "length", "thickness"), pose=SE2, extents=("length", "thickness"))
 """The pose is that of the middle of its leaf, x along it from the hinge. The wall stands where the hinge is."""
-STONE = Type("stone", ("x", "y", "theta", "diameter"))
+STONE = Type("stone", ("x", "y", "theta", "diameter"), **_DISC)
 
 WIDTH, HEIGHT = 3.0, 1.6
 """Of both rooms together, m."""

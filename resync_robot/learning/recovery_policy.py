@@ -150,6 +150,7 @@ class ActorCritic(nn.Module):
         self.register_buffer("scale", torch.ones(observations))
         self.actor = _mlp(observations, width, depth, actions, 0.01)
         self.critic = _mlp(observations, width, depth, 1, 1.0)
+        self.shape = {"width": width, "depth": depth, "observations": observations, "actions": actions}
 
     def normalise(self, observation: Tensor) -> Tensor:
         return ((observation - self.mean) / self.scale).clamp(-8, 8)
@@ -169,7 +170,8 @@ class ActorCritic(nn.Module):
     def from_record(record: Record) -> ActorCritic:
         """The saved actor. Raises LibraryError where weights or the normaliser are missing or misshaped."""
         try:
-            net = ActorCritic(int(record.meta["width"]), int(record.meta["depth"]))
+            sizes = {name: int(record.meta[name]) for name in ("observations", "actions") if name in record.meta}
+            net = ActorCritic(int(record.meta["width"]), int(record.meta["depth"]), **sizes)
         except (KeyError, TypeError, ValueError):
             raise LibraryError(f"the recovery policy's record has no width and depth: {record.meta}", RETRAIN) from None
         weights: Mapping[str, np.ndarray] = record.tensors

@@ -65,6 +65,10 @@ class SuccessModel:
         """Whether some of them succeeded and some failed."""
         return 0 < int((self._y > 0.5).sum()) < len(self._y)
 
+    def remembered(self) -> tuple[Float[np.ndarray, "n d"], Bool[np.ndarray, "n"]]:
+        """The attempts: what they began with, and whether they succeeded."""
+        return self._x.double().numpy(), self._y.numpy() > 0.5
+
     def add(self, features: Float[np.ndarray, "n d"], succeeded: Bool[np.ndarray, "n"]) -> None:
         """Remember attempts: where they began, and whether they succeeded."""
         keep = -self.settings.remembered
