@@ -59,6 +59,9 @@ DEFAULTS: Relations = {}
 def between(a: Type, b: Type, declared: Relations = DEFAULTS) -> Relation:
     """The relation of objects of type a to objects of type b.
 
+    By default (x, y, z) is the position of a in the frame of b, its bearing times the symmetry of b; (up_x, up_y, up_z)
+    the z axis of a; (cos, sin) are of the heading of a times its own symmetry.
+
     Raises:
         PlanningError: one type has its pose in the plane, the other in space.
     """
