@@ -105,14 +105,18 @@ def read_mined(path: Path, domain: Domain) -> Mined | None:
         )
 
 
-def read_learned(meta: Path, weights: Path) -> tuple[Record, PairGaussian] | None:
-    """What `stages.learn_recovery` left; None where a file of it is missing. Raises TrainingError on a damaged one."""
+def read_learned(meta: Path, weights: Path, columns: int) -> tuple[Record, PairGaussian] | None:
+    """What `stages.learn_recovery` left; None where a file of it is missing. Raises TrainingError on a damaged one.
+
+    Args:
+        columns: of the relation between the relevant object and the failure object.
+    """
     with reading(meta):
         saved = read_json(meta)
         if saved is None and not meta.exists():
             return None
         check_shape(saved, LEARNED)
-        after = PairGaussian.from_json(saved["after"])
+        after = PairGaussian.from_json(saved["after"], columns)
     if not weights.exists():
         return None
     with reading(weights):

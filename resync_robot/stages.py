@@ -176,7 +176,8 @@ def learn_recovery(
         device: where PPO's scenes and networks live; what it learned is then tried out on the CPU in any case.
     """
     weights, meta = folder.stages / "recovery.safetensors", folder.stages / "recovery.json"
-    learned = read_learned(meta, weights)
+    relation = between(mined.relevant.type, mined.culprit.failure_object.type, domain.relations)
+    learned = read_learned(meta, weights, len(relation.names))
     if learned is None or not folder.has_figures("recovery"):
         rig, settings, ppo = folder.rig, RecoverySettings(), scaled_to_device(preset.ppo, device)
         tasks = mined.tasks(domain)
@@ -192,7 +193,6 @@ def learn_recovery(
             lambda steps, budget, rate: progress(steps / budget, f"success {rate:.3f} after {steps // 1000} k steps"),
             device,
         )
-        relation = between(mined.relevant.type, mined.culprit.failure_object.type, domain.relations)
         terminal_data, after = _roll_out(net, tasks, mined, relation, rig, settings, seed, workers)
         done, accuracy = train_terminal(*terminal_data["done"], seed)
         failed, failed_accuracy = train_terminal(*terminal_data["failed"], seed + 1)

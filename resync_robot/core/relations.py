@@ -8,6 +8,7 @@ states store them: world frame, SI units, one row an object.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -38,8 +39,8 @@ class Relation:
         place: (row of a, row of b, (k,) columns, random numbers) -> the row of a, moved so that it is seen like that.
             Where symmetry leaves a choice it is drawn. Of numbers that nothing is seen as, the nearest that is counts:
             a sine and a cosine need not lie on the circle.
-        features: (rows of a, rows of b) -> (n, d) what classifiers and policies are given. By default what is seen, the
-            gaps between the two bodies, and of both the features that are no pose.
+        features: (rows of a, rows of b) -> (n, d) what classifiers and policies are given. Where a domain does not say:
+            what is seen and, of both, the features that are no pose.
     """
 
     names: tuple[str, ...]
@@ -57,6 +58,9 @@ DEFAULTS: Relations = {}
 
 def between(a: Type, b: Type, declared: Relations = DEFAULTS) -> Relation:
     """The relation of objects of type a to objects of type b.
+
+    By default (x, y, z) is the position of a in the frame of b, its bearing times the symmetry of b; (up_x, up_y, up_z)
+    the z axis of a; (cos, sin) are of the heading of a times its own symmetry.
 
     Raises:
         PlanningError: one type has its pose in the plane, the other in space.
@@ -78,6 +82,7 @@ def between(a: Type, b: Type, declared: Relations = DEFAULTS) -> Relation:
         resolution=(*(LENGTH for _ in axes), *(DIRECTION for _ in up), DIRECTION, DIRECTION),
         see=partial(_see, a, b),
         place=partial(_place, a, b),
+        features=partial(_features, a, b),
     )
 
 
@@ -88,8 +93,7 @@ def features(a: Type, a_rows: Rows, b: Type, b_rows: Rows, declared: Relations =
         return relation.features(a_rows, b_rows)
     if not relation.names:
         return np.concatenate([alone(a, a_rows), alone(b, b_rows)], -1)
-    rest = [rows[:, len(kind.pose or ()) :] for kind, rows in ((a, a_rows), (b, b_rows))]
-    return np.concatenate([relation.see(a_rows, b_rows), _gaps(a, b, a_rows, b_rows), *rest], -1)
+    return np.concatenate([relation.see(a_rows, b_rows), _rest(a, a_rows), _rest(b, b_rows)], -1)
 
 
 def alone(kind: Type, rows: Rows) -> Rows:
@@ -100,8 +104,8 @@ def alone(kind: Type, rows: Rows) -> Rows:
         heading, upright = spatial.yaw_of(rows[:, 3:7]), spatial.matrix_from_quat(rows[:, 3:7])[:, 2, 2:]
     else:
         heading, upright = rows[:, 2], np.zeros((len(rows), 0))
-    turned = [np.cos(kind.symmetry * heading)[:, None], np.sin(kind.symmetry * heading)[:, None]]
-    return np.concatenate([rows[:, : kind.dimensions], *turned, upright, rows[:, len(kind.pose) :]], -1)
+    turned = _on_circle(kind.symmetry * heading)
+    return np.concatenate([rows[:, : kind.dimensions], turned, upright, _rest(kind, rows)], -1)
 
 
 def seen(state: State, a: Object, b: Object, declared: Relations = DEFAULTS) -> Float[np.ndarray, " k"]:
@@ -129,57 +133,92 @@ def blank(kind: Type) -> Rows:
 
 
 def _see(a: Type, b: Type, a_rows: Rows, b_rows: Rows) -> Rows:
-    position, rotation = _folded(a, b, a_rows, b_rows)
-    # The bearing times the order of the symmetry: headings that are equal meet, and nothing jumps where they do.
-    bearing = b.symmetry * np.arctan2(position[:, 1], position[:, 0])
-    planar = np.hypot(position[:, 0], position[:, 1])[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], -1)
+    position, rotation = _beside(a, b, a_rows, b_rows)
+    bearing, heading = np.arctan2(position[:, 1], position[:, 0]), _heading(a, rotation)
+    # An angle times the order of its symmetry: those that look the same meet, and nothing jumps where they do.
+    planar = np.hypot(position[:, 0], position[:, 1])[:, None] * _on_circle(b.symmetry * bearing)
     up = rotation[:, :, 2] if a.pose == SE3 else np.zeros((len(a_rows), 0))
-    # Where the x axis points when the tilt is undone.
-    level = np.swapaxes(_tilt(up), -1, -2) @ rotation if a.pose == SE3 else rotation
-    heading = a.symmetry * np.arctan2(level[:, 1, 0], level[:, 0, 0])
-    return np.concatenate([planar, position[:, 2:], up, np.stack([np.cos(heading), np.sin(heading)], -1)], -1)
+    if a.pose == SE3 and b.symmetry != 1:
+        up = np.einsum("nij,nj->ni", _turn(-bearing, 3), up)
+    if not _shared(a, b):
+        heading = heading - bearing
+    return np.concatenate([planar, position[:, 2:], up, _on_circle(a.symmetry * heading)], -1)
+
+
+def _features(a: Type, b: Type, a_rows: Rows, b_rows: Rows) -> Rows:
+    more = _common_heading(a, b, a_rows, b_rows), _gaps(a, b, a_rows, b_rows)
+    return np.concatenate([_see(a, b, a_rows, b_rows), *more, _rest(a, a_rows), _rest(b, b_rows)], -1)
+
+
+def _rest(kind: Type, rows: Rows) -> Rows:
+    """(n, r) the features that are no pose."""
+    return rows[:, len(kind.pose or ()) :]
 
 
 def _place(a: Type, b: Type, row: Row, other: Row, relative: Row, rng: np.random.Generator) -> Row:
     d = a.dimensions
-    bearing = 0.0 if b.symmetry == ROUND else np.arctan2(relative[1], relative[0]) / b.symmetry
+    bearing = 0.0 if b.symmetry == ROUND else float(np.arctan2(relative[1], relative[0])) / b.symmetry
     planar = np.hypot(relative[0], relative[1]) * np.array([np.cos(bearing), np.sin(bearing)])
     position = np.concatenate([planar, relative[2:d]])
     heading = _one_of(float(np.arctan2(relative[-1], relative[-2])), a.symmetry, rng)
-    rotation = _turn(heading, d)
+    rotation = _turn(heading if _shared(a, b) else heading + bearing, d)
     if d == 3:
         up = relative[3:6] / np.linalg.norm(relative[3:6])
+        up = up if b.symmetry == 1 else _turn(bearing, d) @ up
         rotation = _tilt(up[None])[0] @ rotation * ([1, -1, -1] if up[2] < 0 else 1)
     origin, axes = (one[0] for one in _frame(b, other[None]))
     axes = axes @ _turn(_one_of(0.0, b.symmetry, rng), d)
     return _posed(a, row, origin + axes @ position, axes @ rotation)
 
 
-def _folded(a: Type, b: Type, a_rows: Rows, b_rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """Position (n, d) and rotation (n, d, d) of a in the frame of b; of b's equal headings the one towards a counts."""
+def _shared(a: Type, b: Type) -> bool:
+    """Does every turn that b allows look the same on a? Then the heading of a is told in b's frame, else from the
+    direction in which a lies."""
+    return b.symmetry != ROUND and a.symmetry % b.symmetry == 0
+
+
+def _common_heading(a: Type, b: Type, a_rows: Rows, b_rows: Rows) -> Rows:
+    """(n, 2) heading of a against b as far as the turns of both leave it, where it is not shared; else (n, 0).
+
+    It is part of what is seen, but that part is blurred where a lies over the middle of b, as a hand does that grasps.
+    """
+    if _shared(a, b) or ROUND in (a.symmetry, b.symmetry):
+        return np.zeros((len(a_rows), 0))
+    _, rotation = _beside(a, b, a_rows, b_rows)
+    return _on_circle(math.lcm(a.symmetry, b.symmetry) * _heading(a, rotation))
+
+
+def _heading(a: Type, rotation: np.ndarray) -> np.ndarray:
+    """(n,) where the x axis points once the tilt is undone."""
+    level = np.swapaxes(_tilt(rotation[:, :, 2]), -1, -2) @ rotation if a.pose == SE3 else rotation
+    return np.arctan2(level[:, 1, 0], level[:, 0, 0])
+
+
+def _beside(a: Type, b: Type, a_rows: Rows, b_rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    """Position (n, d) and rotation (n, d, d) of a in the frame of b."""
     (at, turned), (origin, axes) = _frame(a, a_rows), _frame(b, b_rows)
     world_to_b = np.swapaxes(axes, -1, -2)
-    position = np.einsum("nij,nj->ni", world_to_b, at - origin)
-    if b.symmetry != 1:
-        bearing = np.arctan2(position[:, 1], position[:, 0])
-        kept = np.zeros_like(bearing) if b.symmetry == ROUND else spatial.wrap(bearing, 2 * np.pi / b.symmetry)
-        world_to_b = _turn(kept - bearing, a.dimensions) @ world_to_b
-        position = np.einsum("nij,nj->ni", world_to_b, at - origin)
-    return position, world_to_b @ turned
+    return np.einsum("nij,nj->ni", world_to_b, at - origin), world_to_b @ turned
 
 
 def _gaps(a: Type, b: Type, a_rows: Rows, b_rows: Rows) -> Rows:
-    """(n, d) free distance in m between the bodies along each axis of b, negative where they overlap along it; (n, 0)
-    where one of them has no body."""
+    """(n, d) free distance in m between the bodies along each axis of b, negative where they overlap along it; of a
+    square the larger one first, of what is round the one towards a. (n, 0) where one of them has no body."""
     if not (a.extents and b.extents):
         return np.zeros((len(a_rows), 0))
-    position, rotation = _folded(a, b, a_rows, b_rows)
+    position, rotation = _beside(a, b, a_rows, b_rows)
+    if b.symmetry == ROUND:
+        towards_a = _turn(-np.arctan2(position[:, 1], position[:, 0]), a.dimensions)
+        position, rotation = np.einsum("nij,nj->ni", towards_a, position), towards_a @ rotation
     half, other = _half_extents(a, a_rows)[:, None], _half_extents(b, b_rows)
     if a.symmetry == ROUND:
         across = np.hypot(rotation[..., 0], rotation[..., 1]) * half[..., 0]
     else:
         across = (np.abs(rotation[..., :2]) * half[..., :2]).sum(-1)
-    return np.abs(position) - other - across - (np.abs(rotation[..., 2:]) * half[..., 2:]).sum(-1)
+    gaps = np.abs(position) - other - across - (np.abs(rotation[..., 2:]) * half[..., 2:]).sum(-1)
+    if b.symmetry == 4:
+        gaps[:, :2] = -np.sort(-gaps[:, :2], axis=1)
+    return gaps
 
 
 def _half_extents(kind: Type, rows: Rows) -> Rows:
@@ -198,6 +237,11 @@ def _posed(kind: Type, row: Row, position: np.ndarray, rotation: np.ndarray) -> 
     if kind.pose == SE3:
         return np.concatenate([position, spatial.quat_from_matrix(rotation), row[7:]])
     return np.concatenate([position, [np.arctan2(rotation[1, 0], rotation[0, 0])], row[3:]])
+
+
+def _on_circle(angle: np.ndarray) -> np.ndarray:
+    """(n, 2) cosine and sine."""
+    return np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
 def _turn(angle: float | np.ndarray, dimensions: int) -> np.ndarray:

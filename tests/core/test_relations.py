@@ -193,6 +193,28 @@ def test_a_hand_that_points_down_has_a_heading_and_so_has_a_thing_that_lies() ->
     )
 
 
+def test_nothing_jumps_where_a_square_is_passed_at_its_corner() -> None:
+    """A hand goes round a block, and a car round a puck, without turning."""
+    hand, block, car = kind("hand", SE3, 2, body=False), kind("block", SE3, 4), kind("car", SE2, 1)
+    puck, angles = kind("puck", SE2, ROUND), np.linspace(-np.pi, np.pi, 2001)
+    for a, b in ((hand, block), (block, block), (car, puck), (puck, puck)):
+        some = np.tile(rows(a, np.random.default_rng(1), 1), (len(angles), 1))
+        some[:, :2] = 0.5 * np.stack([np.cos(angles), np.sin(angles)], -1)
+        there = np.tile(blank(b), (len(angles), 1))
+        steps = np.abs(np.diff(features(a, some, b, there), axis=0))
+        assert steps.max() < 0.02
+
+
+def test_a_hand_over_a_square_knows_how_it_would_grasp() -> None:
+    hand, block, rng = kind("hand", SE3, 2, body=False), kind("block", SE3, 4), np.random.default_rng(0)
+    columns = len(between(hand, block).names)
+    grasps = np.tile(blank(hand), (8, 1))
+    grasps[:, :3] = rng.normal(0, 1e-4, (8, 3))
+    grasps[:, 3:7] = spatial.quat_from_yaw(0.2 + np.pi / 2 * np.arange(8))
+    common = features(hand, grasps, block, np.tile(blank(block), (8, 1)))[:, columns : columns + 2]
+    np.testing.assert_allclose(common, np.tile([np.cos(0.8), np.sin(0.8)], (8, 1)), atol=1e-9)
+
+
 def test_columns_off_the_circle_mean_the_nearest_on_it() -> None:
     relation, rng = between(BAR, CAR), np.random.default_rng(0)
     bar, car = np.array([0.0, 0.0, 0.0, 0.4, 0.2]), np.array([0.0, 0.0, 0.0, 1.0])
