@@ -436,9 +436,9 @@ def draw(
         features[PAD(f"pad{i}")] = [rng.uniform(2.5, 2.6), heights[i] + rng.uniform(-0.05, 0.05), 0.0, 0.16]
     if stone:
         # Large enough that nobody slips past, whatever the doorway.
-        size = 2 * (length / 2 - robot + rng.uniform(0.05, 0.08))
+        size = max(2 * (length / 2 - robot + rng.uniform(0.05, 0.08)), 0.2)
         x = hinge[0] + (rng.uniform(-0.03, 0.01) if stone == "in" else -size / 2 - 0.02)
-        features[STONE("stone")] = [x, hinge[1] + length / 2 + rng.uniform(-0.02, 0.02), 0.0, max(size, 0.2)]
+        features[STONE("stone")] = [x, hinge[1] + length / 2 + rng.uniform(-0.02, 0.02), 0.0, size]
     for i, (x, y) in enumerate(((0.15, 0.15), (0.15, 1.45), (0.45, 0.12), (0.45, 1.48))[:stones]):
         features[STONE(f"stone{i}" if i or stone else "stone")] = [x, y, 0.0, 0.2]
     physics = {"door": rng.uniform(4.2, 4.6), "stone": rng.uniform(6.0, 7.0), "puck": 1.0}
