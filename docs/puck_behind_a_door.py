@@ -427,13 +427,14 @@ def draw(
     }
     if doors:
         features[DOOR("door")] = [*middle, theta, length, 0.02]
+    spread = 0.15 if pucks < 3 else 0.05
     heights = rng.permutation(np.linspace(0.4, 1.2, max(pucks, 2)))
     for i in range(pucks):
         x = hinge[0] + length + rng.uniform(0.15, 0.3)
-        features[PUCK(f"p{i}")] = [x, heights[i] + rng.uniform(-0.05, 0.05), 0.0, rng.uniform(0.10, 0.13)]
+        features[PUCK(f"p{i}")] = [x, heights[i] + rng.uniform(-spread, spread), 0.0, rng.uniform(0.10, 0.13)]
     heights = rng.permutation(np.linspace(0.4, 1.2, max(pucks, 2)))
     for i in range(pucks):
-        features[PAD(f"pad{i}")] = [rng.uniform(2.5, 2.6), heights[i] + rng.uniform(-0.05, 0.05), 0.0, 0.16]
+        features[PAD(f"pad{i}")] = [rng.uniform(2.5, 2.6), heights[i] + rng.uniform(-spread, spread), 0.0, 0.16]
     if stone:
         # Large enough that nobody slips past, whatever the doorway.
         size = max(2 * (length / 2 - robot + rng.uniform(0.05, 0.08)), 0.2)
