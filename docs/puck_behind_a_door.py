@@ -217,10 +217,11 @@ class Rooms:
         """
         first = isinstance(touched, dict)
         for _ in range(2):
+            overlapped = False
             for member in body:
                 disc = self._discs[member]
                 for x, y in self._walls(disc):
-                    self._back(body, disc, x, y, 0.0)
+                    overlapped |= self._back(body, disc, x, y, 0.0)
                 for door, leaf in self._doors.items():
                     x, y, lever = leaf.nearest(disc.x, disc.y)
                     nx, ny, overlap = _overlap(disc, x, y, leaf.half)
@@ -230,7 +231,7 @@ class Rooms:
                             touched[door] = max(pressed, touched.get(door, 0.0))
                         self._turn(leaf, nx, ny, lever, overlap, pressed)
                         x, y, _ = leaf.nearest(disc.x, disc.y)
-                    self._back(body, disc, x, y, leaf.half)
+                    overlapped |= self._back(body, disc, x, y, leaf.half)
                 for obj, other in self._discs.items():
                     if obj in body or (obj is self._robot and not first) or (obj is self._held and self._grip):
                         continue
@@ -241,7 +242,9 @@ class Rooms:
                         if pressed > self._friction[obj.type]:
                             other.x, other.y = other.x + overlap * nx, other.y + overlap * ny
                             self._push_out((obj,), (nx, ny), pressed - self._friction[obj.type], set())
-                    self._back(body, disc, other.x, other.y, other.radius)
+                    overlapped |= self._back(body, disc, other.x, other.y, other.radius)
+            if not overlapped:
+                return
 
     def _walls(self, disc: Disc) -> list[tuple[float, float]]:
         """The nearest point of each wall."""
@@ -250,12 +253,13 @@ class Rooms:
             points += [(leaf.x, min(disc.y, leaf.y)), (leaf.x, max(disc.y, leaf.y + leaf.length))]
         return points
 
-    def _back(self, body: tuple[Object, ...], disc: Disc, x: float, y: float, radius: float) -> None:
+    def _back(self, body: tuple[Object, ...], disc: Disc, x: float, y: float, radius: float) -> bool:
         nx, ny, overlap = _overlap(disc, x, y, radius)
         if overlap > 0:
             for obj in body:
                 self._discs[obj].x -= overlap * nx
                 self._discs[obj].y -= overlap * ny
+        return overlap > 0
 
     def _turn(self, leaf: Leaf, nx: float, ny: float, lever: float, overlap: float, pressed: float) -> None:
         """Turn a door out of the way, if the torque is more than its friction and nothing stands behind it."""

@@ -14,16 +14,17 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.sim_training.domain_checks import examine
 from resync_robot.sim_training.domains import find_domain
-from tests.domains import PUCK_DOMAIN as GOOD
-from tests.domains import puck
+from tests.domains import PUCK_DOMAIN, puck
 
 WORLDS = 4
+GOOD = replace(PUCK_DOMAIN, scenarios={name: PUCK_DOMAIN.scenarios[name] for name in ("door", "open", "stone")})
+"""Less of it, for the sake of time."""
 BODY = GOOD.embodiment
 assert BODY is not None
 
 
 def test_the_guide_s_domain_keeps_it() -> None:
-    found = list(examine(GOOD, WORLDS))
+    found = list(examine(PUCK_DOMAIN, WORLDS))
     assert Counter(f.status for f in found) == {"ok": len(found)}, [f for f in found if f.status != "ok"]
     detail = {f.name: f.detail for f in found}
     assert detail["given model: door"] == f"fails in {WORLDS} of {WORLDS}, on door"
@@ -31,8 +32,10 @@ def test_the_guide_s_domain_keeps_it() -> None:
 
 
 def test_a_domain_without_an_embodiment_is_looked_at_as_far_as_it_goes() -> None:
-    found = list(examine(find_domain("cornered-insertion-s"), 2))
-    assert {f.status for f in found[:-1]} == {"ok"} and len(found) > 8
+    whole = find_domain("cornered-insertion-s")
+    found = list(examine(replace(whole, scenarios={name: whole.scenarios[name] for name in ("s0", "s3")}), 1))
+    assert [f.name for f in found] == ["parts", "tasks: s0", "tasks: s3", "simulator"]
+    assert {f.status for f in found[:-1]} == {"ok"}
     assert found[-1].status == "warn" and "no embodiment" in found[-1].detail
 
 
