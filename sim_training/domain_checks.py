@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -28,8 +29,8 @@ UNOBSTRUCTED, OBSTRUCTED = 0.95, 0.05
 """Least success of the given model where nothing is in the way, and most of it where a stage is to learn."""
 NAMED = 0.8
 """Least share of failures in which something is run into that is an object."""
-ACTIONS = 12
-"""Actions that are tried from a snapshot, twice."""
+ACTIONS, KEPT_UP = 24, 6
+"""Random actions that are tried, twice from each snapshot; each is repeated so often."""
 CLOSE = 0.01
 """Difference of features up to which a simulator will do that does not replay contacts exactly."""
 
@@ -54,7 +55,7 @@ def examine(domain: Domain, worlds: int = 20) -> Iterator[Finding]:
     }
     if domain.free is not None:
         samples["free"] = (_as_stages(domain, domain.free),)
-    found = [_guarded(f"tasks: {name}", lambda s=ways: _tasks(domain, s, worlds)) for name, ways in samples.items()]
+    found = [_guarded(f"tasks: {name}", partial(_tasks, domain, ways, worlds)) for name, ways in samples.items()]
     yield from found
     if any(f.status == "fail" for f in found):
         return
@@ -69,25 +70,23 @@ def examine(domain: Domain, worlds: int = 20) -> Iterator[Finding]:
 def _simulated(domain: Domain, body: Embodiment, drawn: Mapping[str, list[list[Task]]]) -> Iterator[Finding]:
     made: list[Any] = []
     # Made by the domain's own function, which may raise anything.
-    yield _guarded("skills", lambda: _skills(domain, made))
+    yield _guarded("skills", partial(_skills, domain, made))
     if not made:
         return
     model = Model({s.name: s for s in made}, Abstraction(domain.predicates, domain.classifiers), domain.operators)
-    scenes = [
-        _guarded(f"scenes: {name}", lambda t=ways: _scenes(body, list(chain(*t)))) for name, ways in drawn.items()
-    ]
+    scenes = [_guarded(f"scenes: {name}", partial(_scenes, body, list(chain(*ways)))) for name, ways in drawn.items()]
     yield from scenes
     if any(f.status == "fail" for f in scenes):
         return
     tasks = {name: ways[0] for name, ways in drawn.items()}
     first = tasks[domain.stages[0].scenario]
-    yield _guarded("actions", lambda: _actions(body, first))
-    yield _guarded("snapshots", lambda: _snapshots(body, first))
-    yield _guarded("picture", lambda: _picture(body, first[0]))
+    yield _guarded("actions", partial(_actions, body, first))
+    yield _guarded("snapshots", partial(_snapshots, body, model, first))
+    yield _guarded("picture", partial(_picture, body, first[0]))
     for name in ("free", *(name for name, s in domain.scenarios.items() if s.after_stage == 0)):
-        yield _guarded(f"given model: {name}", lambda n=name: _succeeds(body, model, tasks[n]))
+        yield _guarded(f"given model: {name}", partial(_succeeds, body, model, tasks[name]))
     for stage in domain.stages:
-        yield _guarded(f"given model: {stage.scenario}", lambda s=stage: _fails(body, model, tasks[s.scenario]))
+        yield _guarded(f"given model: {stage.scenario}", partial(_fails, body, model, tasks[stage.scenario]))
 
 
 def _guarded(name: str, check: Callable[[], Verdict]) -> Finding:
@@ -186,23 +185,19 @@ def _actions(body: Embodiment, tasks: list[Task]) -> Verdict:
     return "ok", f"{', '.join(body.actions)}, {body.rate_hz:g} Hz", ""
 
 
-def _snapshots(body: Embodiment, tasks: list[Task]) -> Verdict:
-    """The same actions from the same snapshot lead to the same state, also after another one was set."""
+def _snapshots(body: Embodiment, model: Model, tasks: list[Task]) -> Verdict:
+    """The same actions from the same snapshot of a failure lead to the same state."""
     worst = 0.0
     for task in tasks[:5]:
         world = body.simulate(task)
-        actions = _random(body)
-        for action in actions:
-            world.act(action, 1.0 / body.rate_hz)
-        kept, ends = world.save(), []
-        before = world.perceive()
+        plan_f(world, model, task.goal, ExecuteSettings(max_failures=1))
+        actions, kept, before, ends = _random(body, task.seed), world.save(), world.perceive(), []
         for _ in range(2):
-            world.reset(task.initial)
-            world.restore(kept)
-            worst = max(worst, _apart(world.perceive(), before))
             for action in actions:
                 world.act(action, 1.0 / body.rate_hz)
             ends.append(world.perceive())
+            world.restore(kept)
+            worst = max(worst, _apart(world.perceive(), before))
         worst = max(worst, _apart(*ends))
     differ = f"after `restore` features differ by up to {worst:.2g}"
     if worst > CLOSE:
@@ -272,9 +267,11 @@ def _attempt(body: Embodiment, model: Model, task: Task) -> tuple[Result, set[st
     return plan_f(world, model, task.goal, ExecuteSettings(max_failures=1), touched), touched.names
 
 
-def _random(body: Embodiment) -> list[np.ndarray]:
+def _random(body: Embodiment, seed: int = 0) -> list[np.ndarray]:
+    """A few actions, each kept up for a while, so that something comes of them."""
     low, high = (np.array(ends, dtype=float) for ends in zip(*body.actions.values(), strict=True))
-    return list(np.random.default_rng(0).uniform(low, high, (ACTIONS, len(low))))
+    drawn = np.random.default_rng(seed).uniform(low, high, (ACTIONS // KEPT_UP, len(low)))
+    return [action for action in drawn for _ in range(KEPT_UP)]
 
 
 def _apart(a: State, b: State) -> float:

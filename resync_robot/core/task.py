@@ -89,6 +89,8 @@ class Domain:
             knows better than chance what is worth practising.
         expert: (state, goal) -> the skill sequence that a person gives: (skill name, objects) each.
         instruction: what the recovery does, in a sentence, for datasets and policies that read one.
+        spec: what `find_domain` finds it by in another process, which fills it in; the name of one that comes with the
+            program.
         stacking: two-place predicates that put one thing upon another: a thing is upon one other at most, and never,
             by whatever way round, upon itself. The given model need not know; goals are checked by it.
     """
@@ -109,6 +111,10 @@ class Domain:
     expert: Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]] | None = None
     instruction: str = ""
     stacking: tuple[Predicate, ...] = ()
+    spec: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "spec", self.spec or self.name)
 
     @property
     def recovery(self) -> str:

@@ -4,6 +4,7 @@ import json
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -12,15 +13,14 @@ import pytest
 
 from resync_robot.core.errors import ConfigError, ResyncError, UnknownNameError
 from resync_robot.sim_training.domains import DOMAINS, find_domain, finding
-from resync_robot.sim_training.domains.finding import lasting_spec
 from tests.domains import PUCK_DOMAIN, PUCK_FILE, puck
 
 WHOLE = PUCK_FILE.read_text()
 
 
 def test_a_file_is_found_with_and_without_a_name() -> None:
-    assert find_domain(str(PUCK_FILE)) is PUCK_DOMAIN
-    assert find_domain(f"{PUCK_FILE}:DOMAIN") is PUCK_DOMAIN
+    for spec in (str(PUCK_FILE), f"{PUCK_FILE}:DOMAIN"):
+        assert find_domain(spec) == replace(PUCK_DOMAIN, spec=spec)
 
 
 def test_a_module_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -34,7 +34,7 @@ def test_an_installed_package_brings_domains(monkeypatch: pytest.MonkeyPatch) ->
     broken = EntryPoint("broken", "no_such_package:DOMAIN", "")
     groups = {finding.GROUP: (entry, broken)}
     monkeypatch.setattr(finding, "entry_points", lambda group: groups[group])
-    assert find_domain("theirs") is DOMAINS["cornered-insertion-s"]
+    assert find_domain("theirs") == replace(DOMAINS["cornered-insertion-s"], spec="theirs")
     with pytest.raises(UnknownNameError, match="valid: broken, cornered-insertion-s, theirs"):
         find_domain("thiers")
     with pytest.raises(ConfigError, match=r"domain 'broken' \(no_such_package:DOMAIN\): ModuleNotFoundError"):
@@ -99,8 +99,8 @@ def test_what_cannot_be_found(spec: str, words: str, tmp_path: Path) -> None:
 
 def test_a_kept_name_holds_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(PUCK_FILE.parent)
-    kept = [lasting_spec(s) for s in (PUCK_FILE.name, f"{PUCK_FILE.name}:DOMAIN", "cornered-insertion-s", "a.b:C")]
-    assert kept == [str(PUCK_FILE), f"{PUCK_FILE}:DOMAIN", "cornered-insertion-s", "a.b:C"]
+    kept = [find_domain(s).spec for s in (PUCK_FILE.name, f"{PUCK_FILE.name}:DOMAIN", "cornered-insertion-s")]
+    assert kept == [str(PUCK_FILE), f"{PUCK_FILE}:DOMAIN", "cornered-insertion-s"]
 
 
 def test_what_one_process_keeps_of_a_file_s_domain_another_reads(tmp_path: Path) -> None:
