@@ -218,10 +218,11 @@ class Rooms:
         """
         first = isinstance(touched, dict)
         for _ in range(2):
+            overlapped = False
             for member in body:
                 disc = self._discs[member]
                 for x, y in self._walls(disc):
-                    self._back(body, disc, x, y, 0.0)
+                    overlapped |= self._back(body, disc, x, y, 0.0)
                 for door, leaf in self._doors.items():
                     x, y, lever = leaf.nearest(disc.x, disc.y)
                     nx, ny, overlap = _overlap(disc, x, y, leaf.half)
@@ -231,7 +232,7 @@ class Rooms:
                             touched[door] = max(pressed, touched.get(door, 0.0))
                         self._turn(leaf, nx, ny, lever, overlap, pressed)
                         x, y, _ = leaf.nearest(disc.x, disc.y)
-                    self._back(body, disc, x, y, leaf.half)
+                    overlapped |= self._back(body, disc, x, y, leaf.half)
                 for obj, other in self._discs.items():
                     if obj in body or (obj is self._robot and not first) or (obj is self._held and self._grip):
                         continue
@@ -242,7 +243,9 @@ class Rooms:
                         if pressed > self._friction[obj.type]:
                             other.x, other.y = other.x + overlap * nx, other.y + overlap * ny
                             self._push_out((obj,), (nx, ny), pressed - self._friction[obj.type], set())
-                    self._back(body, disc, other.x, other.y, other.radius)
+                    overlapped |= self._back(body, disc, other.x, other.y, other.radius)
+            if not overlapped:
+                return
 
     def _walls(self, disc: Disc) -> list[tuple[float, float]]:
         """The nearest point of each wall."""
@@ -251,12 +254,13 @@ class Rooms:
             points += [(leaf.x, min(disc.y, leaf.y)), (leaf.x, max(disc.y, leaf.y + leaf.length))]
         return points
 
-    def _back(self, body: tuple[Object, ...], disc: Disc, x: float, y: float, radius: float) -> None:
+    def _back(self, body: tuple[Object, ...], disc: Disc, x: float, y: float, radius: float) -> bool:
         nx, ny, overlap = _overlap(disc, x, y, radius)
         if overlap > 0:
             for obj in body:
                 self._discs[obj].x -= overlap * nx
                 self._discs[obj].y -= overlap * ny
+        return overlap > 0
 
     def _turn(self, leaf: Leaf, nx: float, ny: float, lever: float, overlap: float, pressed: float) -> None:
         """Turn a door out of the way, if the torque is more than its friction and nothing stands behind it."""
@@ -428,18 +432,19 @@ def draw(
     }
     if doors:
         features[DOOR("door")] = [*middle, theta, length, 0.02]
+    spread = 0.15 if pucks < 3 else 0.05
     heights = rng.permutation(np.linspace(0.4, 1.2, max(pucks, 2)))
     for i in range(pucks):
         x = hinge[0] + length + rng.uniform(0.15, 0.3)
-        features[PUCK(f"p{i}")] = [x, heights[i] + rng.uniform(-0.05, 0.05), 0.0, rng.uniform(0.10, 0.13)]
+        features[PUCK(f"p{i}")] = [x, heights[i] + rng.uniform(-spread, spread), 0.0, rng.uniform(0.10, 0.13)]
     heights = rng.permutation(np.linspace(0.4, 1.2, max(pucks, 2)))
     for i in range(pucks):
-        features[PAD(f"pad{i}")] = [rng.uniform(2.5, 2.6), heights[i] + rng.uniform(-0.05, 0.05), 0.0, 0.16]
+        features[PAD(f"pad{i}")] = [rng.uniform(2.5, 2.6), heights[i] + rng.uniform(-spread, spread), 0.0, 0.16]
     if stone:
         # Large enough that nobody slips past, whatever the doorway.
-        size = 2 * (length / 2 - robot + rng.uniform(0.05, 0.08))
+        size = max(2 * (length / 2 - robot + rng.uniform(0.05, 0.08)), 0.2)
         x = hinge[0] + (rng.uniform(-0.03, 0.01) if stone == "in" else -size / 2 - 0.02)
-        features[STONE("stone")] = [x, hinge[1] + length / 2 + rng.uniform(-0.02, 0.02), 0.0, max(size, 0.2)]
+        features[STONE("stone")] = [x, hinge[1] + length / 2 + rng.uniform(-0.02, 0.02), 0.0, size]
     for i, (x, y) in enumerate(((0.15, 0.15), (0.15, 1.45), (0.45, 0.12), (0.45, 1.48))[:stones]):
         features[STONE(f"stone{i}" if i or stone else "stone")] = [x, y, 0.0, 0.2]
     physics = {"door": rng.uniform(4.2, 4.6), "stone": rng.uniform(6.0, 7.0), "puck": 1.0}

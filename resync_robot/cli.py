@@ -21,6 +21,7 @@ import tyro
 
 from resync_robot import __version__
 from resync_robot.calibrate import CalibrateConfig, calibrate
+from resync_robot.check_domain import CheckDomainConfig, check_domain
 from resync_robot.core.errors import ConfigError, DiskError, ResyncError
 from resync_robot.core.files import disk_fault, packaged_rig
 from resync_robot.deploy import DeployConfig, deploy
@@ -39,6 +40,7 @@ COMMANDS: dict[str, tuple[type, Callable[[Any], int | None]]] = {
     "review": (ReviewConfig, review),
     "calibrate": (CalibrateConfig, calibrate),
     "doctor": (DoctorConfig, doctor),
+    "check-domain": (CheckDomainConfig, check_domain),
 }
 """Name on the command line -> its settings and what runs with them."""
 

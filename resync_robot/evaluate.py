@@ -130,7 +130,6 @@ def evaluate(config: EvaluateConfig) -> None:
     from resync_robot.result_file import ResultFile
     from resync_robot.run_folder import git_hash
     from resync_robot.sim_training.domains import find_domain
-    from resync_robot.sim_training.domains.finding import lasting_spec
     from resync_robot.sim_training.parallel import parallel_map
     from resync_robot.sources import evaluated_sources, in_words
 
@@ -198,7 +197,7 @@ def evaluate(config: EvaluateConfig) -> None:
         parse=_parse,
     )
     drawn = (config.worlds, physics == "reference")
-    context = partial(_context, lasting_spec(config.domain), tuple(map(str, paths)), perception, skills, *drawn, rig)
+    context = partial(_context, domain.spec, tuple(map(str, paths)), perception, skills, *drawn, rig)
     # Written before the table, so that it is kept where nobody reads that.
     with file.open(config.resume), _naming_the_way_without_pictures():
         if note:

@@ -31,7 +31,8 @@ def initial_model(domain: Domain, rig: Rig) -> Model:
     """What the robot knows before it has failed (C_0, Psi_0, Op_0)."""
     from resync_robot.policies.scripted import scripted_skills
 
-    skills = {s.name: s for s in scripted_skills(rig)}
+    given = scripted_skills(rig) if domain.embodiment is None else domain.embodiment.skills()
+    skills = {s.name: s for s in given}
     return Model(skills, Abstraction(domain.predicates, domain.classifiers), domain.operators)
 
 

@@ -12,11 +12,10 @@ import numpy as np
 from resync_robot.core.episode import Answer, EventKind, Timing
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ResyncError
-from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import GroundSkill, Outcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, GroundOperator
-from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Observation
+from resync_robot.core.world import CameraFrame, Cutout, Glimpse
 from resync_robot.hardware.base import Command, Halt, RobotState
 from resync_robot.planning.execute import End, Listener
 from resync_robot.planning.search import Plan
@@ -161,9 +160,6 @@ class Recorder(Listener):
 
     def on_skill_start(self, skill: GroundSkill) -> None:
         self._writer.event(self._clock(), EventKind.SKILL_START, str(skill))
-
-    def on_control(self, observation: Observation, target: JointTarget) -> None:
-        pass
 
     def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
         self.skills += 1

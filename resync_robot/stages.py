@@ -116,7 +116,7 @@ def mine(domain: Domain, folder: RunFolder, preset: Preset, seed: int, workers: 
     if mined is None or not attempts.exists() or not folder.has_figures("mine"):
         first = seed * TRAINING_SEEDS
         scenario = next(s.name for s in domain.scenarios.values() if s.training)
-        context = partial(make_context, domain.name, folder.rig, None)
+        context = partial(make_context, domain.spec, folder.rig, None)
         tried = [
             a for a in parallel_map(_try, [(scenario, first + i) for i in range(preset.tasks)], context, workers) if a
         ]
@@ -304,7 +304,7 @@ def check_recovery(
     says, or as was drawn."""
     jobs = [(mined, first_seed + i, solver) for i in range(worlds)]
     results = []
-    for i, r in enumerate(parallel_map(_check, jobs, partial(make_context, domain.name, rig, record), workers)):
+    for i, r in enumerate(parallel_map(_check, jobs, partial(make_context, domain.spec, rig, record), workers)):
         if r is not None:
             results.append(r)
         progress((i + 1) / worlds, f"{sum(h for _, h in results)} of {len(results)} picked")
@@ -342,7 +342,7 @@ def dream_all(
     paths = [folder.stages / f"dreams-{i:03d}.jsonl" for i in range(len(chunks))]
     todo = [(path, chunk) for path, chunk in zip(paths, chunks, strict=True) if not path.exists()]
     flat = [spec for _, chunk in todo for spec in chunk]
-    stream = parallel_map(_dream, flat, partial(_dream_context, domain.name, folder.rig, record, gaussians), workers)
+    stream = parallel_map(_dream, flat, partial(_dream_context, domain.spec, folder.rig, record, gaussians), workers)
     finished, solved, count = len(specs) - len(flat), 0, 0
     for path, chunk in todo:
         found: list[Trajectory] = []

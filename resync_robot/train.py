@@ -86,21 +86,20 @@ def train(config: TrainConfig) -> None:
     from resync_robot.progress import say
     from resync_robot.run_settings import CONFIG, SHAPING, RunSettings
     from resync_robot.sim_training.domains import find_domain
-    from resync_robot.sim_training.domains.finding import lasting_spec
 
     given = {name: getattr(config, name) for name in SHAPING if getattr(config, name) is not None}
+    domain = find_domain(given.get("domain", RunSettings.domain))
     if "domain" in given:
-        given["domain"] = lasting_spec(given["domain"])
+        given["domain"] = domain.spec
     begun = RunSettings(**given)
-    name = find_domain(begun.domain).name
     check_seed(begun.seed)
     check_range("--workers", config.workers, 1, MOST_WORKERS)
     if config.resume:
-        path = config.out or run_folder.latest_folder(name)
+        path = config.out or run_folder.latest_folder(domain.name)
         if not (path / CONFIG).exists():
             raise ConfigError(f"{path} holds no run to resume", "start one without --resume")
     else:
-        path = config.out or run_folder.default_folder(name)
+        path = config.out or run_folder.default_folder(domain.name)
     run_folder.check_folder(path)
     with sole_writer(path / LOCK, path, "give another folder with --out"):
         settings, rig = _resumed(path, given) if config.resume else (_new(path, begun), None)

@@ -26,6 +26,7 @@ from resync_robot.planning.pddl import domain_to_pddl
 from resync_robot.planning.search import plan
 from resync_robot.sim_training.domains import find_domain
 from tests import scenes
+from tests.domains import PUCK_DOMAIN
 from tests.libraries import DOMAIN, given_library, recovery_record
 
 RIG, CORNERED = load_rig(), find_domain(DOMAIN)
@@ -171,3 +172,17 @@ def test_a_recovery_can_be_put_in_place_of_the_one_that_follows_the_state() -> N
     other = replace(learned_model(CORNERED, RIG, given_library()).skill(CORNERED.recovery), live_state=False)
     model = learned_model(CORNERED, RIG, given_library(), other)
     assert model.skill(CORNERED.recovery) is other
+
+
+def test_a_library_is_refused_where_the_types_are_others() -> None:
+    library = replace(given_library(), types_hash=CORNERED.types_hash)
+    assert learned_model(CORNERED, RIG, library).operators
+    robot, block, box = CORNERED.types
+    other = replace(CORNERED, types=(robot, replace(block, features=(*block.features, "colour")), box))
+    assert other.types_hash != CORNERED.types_hash
+    with pytest.raises(LibraryError, match="types of 'cornered-insertion-s' are not those any more"):
+        learned_model(other, RIG, library)
+
+
+def test_a_domain_with_an_embodiment_brings_its_own_skills() -> None:
+    assert set(initial_model(PUCK_DOMAIN, RIG).skills) == {"Fetch", "Bring"}

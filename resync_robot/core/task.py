@@ -88,6 +88,8 @@ class Domain:
             knows better than chance what is worth practising.
         expert: (state, goal) -> the skill sequence that a person gives: (skill name, objects) each.
         instruction: what the recovery does, in a sentence, for datasets and policies that read one.
+        spec: what `find_domain` finds it by in another process, which fills it in; the name of one that comes with the
+            program.
         stacking: two-place predicates that put one thing upon another: a thing is upon one other at most, and never,
             by whatever way round, upon itself. The given model need not know; goals are checked by it.
         relations: how objects of two types lie beside each other, where the default of `core.relations` does not do.
@@ -109,6 +111,10 @@ class Domain:
     instruction: str = ""
     stacking: tuple[Predicate, ...] = ()
     relations: Mapping[tuple[Type, Type], Relation] = field(default_factory=dict)
+    spec: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "spec", self.spec or self.name)
 
     def relocate(self, task: Task, obj: Object, beside: Object, relative: np.ndarray, rng: np.random.Generator) -> Task:
         """The task with one object beside another as `relative` says, in the columns of their relation: how failure

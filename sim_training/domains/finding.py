@@ -9,6 +9,7 @@ import re
 import sys
 import traceback
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -35,7 +36,7 @@ def load_domain(spec: str, shipped: Mapping[str, Domain]) -> Domain:
     found = open_domain(spec, shipped)
     for what, fix in faults(found):
         raise ConfigError(f"{spec}: {what}", f"{fix}; for all that is wrong: resync-robot check-domain {spec}")
-    return found
+    return replace(found, spec=lasting_spec(spec))
 
 
 def open_domain(spec: str, shipped: Mapping[str, Domain]) -> Domain:

@@ -84,7 +84,7 @@ def main() -> None:
         with TemporaryDirectory() as student:
             for file, data in files.items():
                 (Path(student) / file).write_bytes(data)
-            context = partial(make_context, domain.name, folder.rig, record, gaussians, Path(student), plan.blind)
+            context = partial(make_context, domain.spec, folder.rig, record, gaussians, Path(student), plan.blind)
             for looks in ("usual", "unseen"):
                 jobs = [(looks, FRESH + i) for i in range(0, args.worlds, BATCH)]
                 found = [t for trials in parallel_map(_try, jobs, context, args.workers) for t in trials]

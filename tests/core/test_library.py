@@ -14,6 +14,7 @@ from resync_robot.core.errors import DiskError, LibraryError
 from resync_robot.core.library import Library, Record, load_library, save_library
 
 LIBRARY = Library(
+    types_hash="0123",
     domain="test",
     rig_hash="abc",
     domain_pddl="(define (domain test))\n",
@@ -37,6 +38,7 @@ def folder(tmp_path: Path) -> Path:
 def test_a_saved_library_comes_back(folder: Path) -> None:
     back = load_library(folder)
     assert (back.domain, back.rig_hash, back.domain_pddl) == ("test", "abc", LIBRARY.domain_pddl)
+    assert back.types_hash == LIBRARY.types_hash == "0123"
     assert (back.gaussians, back.provenance) == (LIBRARY.gaussians, LIBRARY.provenance)
     assert back.policies == LIBRARY.policies
     for found, saved in ((back.predicates, LIBRARY.predicates), (back.skills, LIBRARY.skills)):
