@@ -51,7 +51,8 @@ class Catalogue:
     """Hue of each thing by its name, in [0, 1): red, blue, yellow, green. Several blocks may have the same."""
     hue_tolerance: float = 0.06
     least_saturation: float = 0.30
-    least_value: float = 0.10
+    least_chroma: float = 0.03
+    """Saturation times value. A strong colour is sure of its hue even in a deep shadow; a dark, pale one is noise."""
 
     block_width: tuple[float, float] = (0.036, 0.084)
     block_height: tuple[float, float] = (0.033, 0.062)

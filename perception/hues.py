@@ -19,7 +19,7 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
 from resync_robot.perception.catalogue import Catalogue
 from resync_robot.perception.patches import connected
-from resync_robot.perception.segment import Segment, as_rgb
+from resync_robot.perception.segment import Segment, as_rgb, vivid
 from resync_robot.perception.views import level, make_view
 
 STANDS = 0.012
@@ -111,8 +111,8 @@ def _coloured_points(frame: CameraFrame, rig: Rig, catalogue: Catalogue) -> np.n
     hsv = cv2.cvtColor(as_rgb(frame), cv2.COLOR_RGB2HSV_FULL)
     z = view.points[..., 2] - catalogue.table_z
     stands = view.valid & (z > STANDS) & (z < 0.26)
-    vivid = (hsv[..., 1] >= catalogue.least_saturation * 255) & (hsv[..., 2] >= catalogue.least_value * 255)
-    return np.column_stack([view.points[stands], hsv[..., 0][stands] / 256, vivid[stands]]).astype(np.float64)
+    coloured = vivid(hsv, catalogue)
+    return np.column_stack([view.points[stands], hsv[..., 0][stands] / 256, coloured[stands]]).astype(np.float64)
 
 
 def _hue(thing: np.ndarray, catalogue: Catalogue) -> Hue:

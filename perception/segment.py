@@ -42,6 +42,14 @@ def as_rgb(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
     return colour
 
 
+def vivid(hsv: UInt8[np.ndarray, "h w 3"], catalogue: Catalogue) -> Bool[np.ndarray, "h w"]:
+    """Which pixels have a colour. `hsv`: as OpenCV's `COLOR_RGB2HSV_FULL` has it."""
+    saturation = hsv[..., 1]
+    chroma = saturation.astype(np.uint16) * hsv[..., 2]
+    found: np.ndarray = (saturation >= catalogue.least_saturation * 255) & (chroma >= catalogue.least_chroma * 255**2)
+    return found
+
+
 class ColourSegmenter:
     """Saturated pixels of a catalogue hue, joined into connected components. Needs no weights.
 
@@ -65,10 +73,8 @@ class ColourSegmenter:
     def segment(self, frame: CameraFrame) -> list[Segment]:
         """Components of every catalogue colour. Raises PerceptionError on a picture that is no 8-bit RGB."""
         colour = as_rgb(frame)
-        c = self._catalogue
         hsv = cv2.cvtColor(cv2.GaussianBlur(colour, (3, 3), 0.6), cv2.COLOR_RGB2HSV_FULL)
-        vivid = (hsv[..., 1] >= c.least_saturation * 255) & (hsv[..., 2] >= c.least_value * 255)
-        owner = np.where(vivid, self._owner_of_hue[hsv[..., 0]], NOBODY)
+        owner = np.where(vivid(hsv, self._catalogue), self._owner_of_hue[hsv[..., 0]], NOBODY)
         segments = []
         for i, name in enumerate(self._names):
             mask = (owner == i).astype(np.uint8)

@@ -54,6 +54,18 @@ def test_light_and_paint_may_vary(name: str, shift: float, saturation: float, va
     assert [s.label for s in ColourSegmenter(CATALOGUE).segment(noisy)] == [name]
 
 
+@pytest.mark.parametrize("name", sorted(CATALOGUE.hues))
+def test_a_strong_colour_is_found_in_a_deep_shadow_and_a_dark_grey_is_nothing(name: str) -> None:
+    frame = blank()
+    frame.colour[:] = (20, 18, 15)
+    paint(frame.colour, 100, 200, CATALOGUE.hues[name], 0.9, 0.085)
+    noise = np.random.default_rng(0).normal(0, 1.5, frame.colour.shape)
+    noisy = replace(frame, colour=np.clip(frame.colour + noise, 0, 255).astype(np.uint8))
+    segments = ColourSegmenter(CATALOGUE).segment(noisy)
+    assert [s.label for s in segments] == [name]
+    assert segments[0].mask[105:135, 205:235].mean() > 0.95
+
+
 def test_table_box_and_specks_are_nothing() -> None:
     frame = blank()
     frame.colour[50:150, 50:150] = (90, 95, 100)
