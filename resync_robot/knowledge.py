@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from resync_robot.core.errors import LibraryError
-from resync_robot.core.library import RETRAIN, Library, Record
+from resync_robot.core.library import RETRAIN, LearnedStage, Library, Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Skill
 from resync_robot.core.symbols import Operator, Predicate, Type
 from resync_robot.core.task import Domain
-from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.model import Concepts, load_concepts
 from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.execute import Affordance, Model
@@ -33,6 +32,17 @@ def initial_model(domain: Domain, rig: Rig) -> Model:
 
     skills = {s.name: s for s in scripted_skills(rig)}
     return Model(skills, Abstraction(domain.predicates, domain.classifiers), domain.operators)
+
+
+def known_concepts(domain: Domain, library: Library) -> Concepts:
+    """The symbols that a library holds, and what they rely on: what the next stage is learned on top of.
+
+    Raises:
+        LibraryError: it was learned in another domain, or does not fit this one.
+    """
+    if library.domain != domain.name:
+        raise LibraryError(f"the library was learned in '{library.domain}', not in '{domain.name}'", RETRAIN)
+    return load_concepts(library.domain_pddl, library.predicates, domain)
 
 
 def model_with_recovery(domain: Domain, rig: Rig, record: Record, skill: Skill | None = None) -> Model:
@@ -73,27 +83,29 @@ def camera_recovery(domain: Domain, rig: Rig, library: Library) -> Skill:
     return camera_recovery_skill(domain.recovery, student, rig, hues=catalogue_of(rig).hues)
 
 
-def learned_model(domain: Domain, rig: Rig, library: Library, recovery: Skill | None = None) -> Model:
+def learned_model(domain: Domain, rig: Rig, library: Library, recoveries: Sequence[Skill] = ()) -> Model:
     """Everything a library holds. Raises LibraryError where it does not fit the domain.
 
     Args:
-        recovery: in place of the recovery that follows the simulator's state.
+        recoveries: in place of those of the same names that follow the simulator's state.
     """
-    if library.domain != domain.name:
-        raise LibraryError(f"the library was learned in '{library.domain}', not in '{domain.name}'", RETRAIN)
-    if domain.recovery not in library.skills:
-        raise LibraryError(f"the library holds no skill '{domain.recovery}'", RETRAIN)
-    known = {p.name: domain.classifiers[p.name] for p in domain.predicates}
-    types = {t.name: t for t in domain.types}
-    predicates, classifiers, operators = load_concepts(library.domain_pddl, library.predicates, types, known)
-    # What the domain was given since the library was learned, a predicate or a skill with its operator, comes with it.
-    predicates += tuple(p for p in domain.predicates if p.name not in {q.name for q in predicates})
-    operators += tuple(o for o in domain.operators if o.name not in {q.name for q in operators})
-    skills = dict(model_with_recovery(domain, rig, library.skills[domain.recovery], recovery).skills)
+    from resync_robot.policies.neural import recovery_skill
+
+    concepts = known_concepts(domain, library)
+    if not library.stages:
+        raise LibraryError("the library holds no stage, and so no recovery", RETRAIN)
+    missing = [s.recovery for s in library.stages if s.recovery not in library.skills]
+    if missing:
+        raise LibraryError(f"the library holds no skill '{missing[0]}'", RETRAIN)
+    skills = dict(initial_model(domain, rig).skills)
+    for stage in library.stages:
+        skills[stage.recovery] = recovery_skill(stage.recovery, library.skills[stage.recovery], rig)
+    skills |= {skill.name: skill for skill in recoveries}
+    predicates, operators = concepts.predicates, concepts.operators
     try:
         affordances = {
-            skill: Affordance(str(entry["predicate"]), int(entry["argument"]))
-            for skill, entry in library.execution.get("affordances", {}).items()
+            skill: tuple(Affordance(str(e["predicate"]), int(e["argument"])) for e in entries)
+            for skill, entries in library.execution.get("affordances", {}).items()
         }
         for variant, base in library.execution.get("variants", {}).items():
             operator = next(o for o in operators if o.name == variant)
@@ -101,7 +113,7 @@ def learned_model(domain: Domain, rig: Rig, library: Library, recovery: Skill | 
         risk = _risk(library.execution.get("experience", {}), predicates, operators)
     except (AttributeError, IndexError, KeyError, StopIteration, TypeError, ValueError) as error:
         raise LibraryError(f"execution.json does not fit domain.pddl: {error!r}", RETRAIN) from error
-    return Model(skills, Abstraction(predicates, classifiers), operators, affordances, risk)
+    return Model(skills, Abstraction(predicates, concepts.classifiers), operators, affordances, risk)
 
 
 def _risk(experience: Mapping[str, Any], predicates: tuple[Predicate, ...], operators: tuple[Operator, ...]) -> Risk:
@@ -122,31 +134,36 @@ def _risk(experience: Mapping[str, Any], predicates: tuple[Predicate, ...], oper
 def make_library(
     domain: Domain,
     rig: Rig,
+    stage: LearnedStage,
     recovery: Record,
-    gaussians: Mapping[str, PairGaussian],
     concepts: Concepts,
     provenance: Mapping[str, Any],
     policy: Mapping[str, bytes] | None = None,
+    known: Library | None = None,
 ) -> Library:
-    """What a training run saves; `learned_model` is the way back.
+    """What a stage of training saves, with all that was known before it; `learned_model` is the way back.
 
     Args:
+        stage, recovery: what it learned to do, and the record of that skill.
+        concepts: the whole model: that of earlier stages, and what this one added.
         policy: the files of the recovery's camera policy.
+        known: the library of the stages before.
     """
+    name = stage.recovery
     return Library(
         domain=domain.name,
         rig_hash=rig.hash,
         domain_pddl=domain_to_pddl(domain.name, domain.types, concepts.predicates, concepts.operators),
         predicates=concepts.records,
-        skills={domain.recovery: recovery},
-        gaussians={name: g.to_json() for name, g in gaussians.items()},
+        skills={**(known.skills if known else {}), name: recovery},
+        stages=(*(known.stages if known else ()), stage),
         provenance=provenance,
         execution={
-            "affordances": concepts.report.get("affordance_of", {}),
+            "affordances": concepts.report.get("affordances_of", {}),
             "variants": concepts.report.get("variants", {}),
             "experience": concepts.report.get("experience", {}),
         },
-        policies={domain.recovery: policy} if policy else {},
+        policies={**(known.policies if known else {}), **({name: policy} if policy else {})},
     )
 
 

@@ -6,7 +6,7 @@ the next one are the same moment, and so are the states around a failed attempt 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from resync_robot.core.errors import TrainingError
@@ -18,14 +18,35 @@ ATTEMPT = "attempt"
 """Source of trajectories that try one skill and aim at nothing."""
 
 
+@dataclass(frozen=True)
+class StageData:
+    """What one stage adds to the data.
+
+    Attributes:
+        recovery, recovery_types: name and signature of the skill that it learned.
+        failed_skill: the skill whose failure the recovery mends.
+        trajectories: dreams (successful and failed attempts) and single attempts (`source` "attempt").
+    """
+
+    recovery: str
+    recovery_types: tuple[Type, ...]
+    failed_skill: str
+    trajectories: Sequence[Trajectory]
+
+
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One attempt of a skill, between two moments (indices into `Dataset.moments`)."""
+    """One attempt of a skill, between two moments (indices into `Dataset.moments`).
+
+    Attributes:
+        mended_by: of a failed attempt the recovery that mended it; empty where none did.
+    """
 
     skill: str
     objects: tuple[Object, ...]
     before: int
     after: int
+    mended_by: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +87,7 @@ class Dataset:
 
 
 def merged_dataset(
-    trajectories: Sequence[Trajectory], recovery: str, signatures: Mapping[str, tuple[Type, ...]]
+    trajectories: Sequence[Trajectory], recoveries: Collection[str], signatures: Mapping[str, tuple[Type, ...]]
 ) -> Dataset:
     """The default view: a failed attempt and the recovery after it are one use of the recovery skill.
 
@@ -75,12 +96,12 @@ def merged_dataset(
     """
     builder = _Builder(signatures)
     for t in trajectories:
-        builder.add(t, [(x, x.skill) for x in t.transitions], recovery)
+        builder.add(t, [(x, x.skill) for x in t.transitions], recoveries)
     return builder.dataset()
 
 
 def variant_dataset(
-    trajectories: Sequence[Trajectory], recovery: str, signatures: Mapping[str, tuple[Type, ...]]
+    trajectories: Sequence[Trajectory], recoveries: Collection[str], signatures: Mapping[str, tuple[Type, ...]]
 ) -> Dataset:
     """The published view: a failed attempt that a recovery follows is a skill of its own, `FAILED_RECOVERY`.
 
@@ -95,12 +116,17 @@ def variant_dataset(
         for x, following in zip(t.transitions, [*t.transitions[1:], None], strict=True):
             if x.succeeded:
                 named.append((x, x.skill))
-            elif following is not None and following.skill == recovery and following.succeeded:
-                variant = f"{x.skill}_{recovery}"
+            elif following is not None and following.skill in recoveries and following.succeeded:
+                variant = variant_name(x.skill, following.skill)
                 known[variant] = known[x.skill]
                 named.append((Transition(x.before, variant, x.objects, x.after, True), variant))
-        builder.add(Trajectory(tuple(x for x, _ in named), t.goal, True, t.source), named, recovery)
+        builder.add(Trajectory(tuple(x for x, _ in named), t.goal, True, t.source), named, recoveries)
     return builder.dataset()
+
+
+def variant_name(failed_skill: str, recovery: str) -> str:
+    """The published view's name for an attempt that this recovery follows."""
+    return f"{failed_skill}_{recovery}"
 
 
 class _Builder:
@@ -110,7 +136,7 @@ class _Builder:
         self.moments: list[list[int]] = []
         self.runs: list[Run] = []
 
-    def add(self, t: Trajectory, transitions: Sequence[tuple[Transition, str]], recovery: str) -> None:
+    def add(self, t: Trajectory, transitions: Sequence[tuple[Transition, str]], recoveries: Collection[str]) -> None:
         if not transitions:
             return
         steps: list[Step] = []
@@ -126,9 +152,9 @@ class _Builder:
                 steps.append(Step(skill, x.objects, now, after))
                 now = after
                 continue
-            mended = i + 1 < len(transitions) and transitions[i + 1][1] == recovery and transitions[i + 1][0].succeeded
-            after = now if mended else self._moment(x.after)
-            failures.append(Step(skill, x.objects, now, after))
+            mended_by = next((s for y, s in transitions[i + 1 : i + 2] if s in recoveries and y.succeeded), "")
+            after = now if mended_by else self._moment(x.after)
+            failures.append(Step(skill, x.objects, now, after, mended_by))
             now = after
         self.runs.append(Run(tuple(steps), tuple(failures), first, t.goal, t.solved, t.source, t.objects))
 

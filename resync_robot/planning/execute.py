@@ -26,7 +26,8 @@ from resync_robot.planning.suppose import find_plan
 
 @dataclass(frozen=True)
 class Affordance:
-    """A learned atom that a skill relies on: after a failure of the skill it is held false until restored.
+    """A learned atom that a skill relies on: after a failure of the skill it is held false until restored; where a
+    skill relies on several, the least certain of them.
 
     Where restoring it fails again and again, it is held true and the skill tried after all: what was learned may be
     wrong about this object.
@@ -47,7 +48,7 @@ class Model:
     skills: Mapping[str, Skill]
     abstraction: Abstraction
     operators: tuple[Operator, ...]
-    affordances: Mapping[str, Affordance] = field(default_factory=dict)
+    affordances: Mapping[str, tuple[Affordance, ...]] = field(default_factory=dict)
     risk: Risk | None = None
 
     def skill(self, name: str) -> Skill:
@@ -148,7 +149,7 @@ def plan_f(
     in_vain: Counter[str] = Counter()
     taught: dict[Atom, bool] = {}
     """What attempts say of learned atoms, against what is seen."""
-    relied_on = {affordance.predicate for affordance in model.affordances.values()}
+    relied_on = {affordance.predicate for of in model.affordances.values() for affordance in of}
     supposed_before: set[str] = set()
     state, atoms = _look(world, model, taught, listener)
     reason = "start"
@@ -211,7 +212,7 @@ def plan_f(
                     reason += f"; {', '.join(sorted(map(str, granted)))} taken for granted now"
                 taught |= dict.fromkeys(granted, True)
                 atoms |= granted
-            distrust = _distrust(model, ground)
+            distrust = _distrust(model, ground, before)
             if distrust is not None:
                 taught[distrust] = False
                 atoms = atoms - {distrust}
@@ -288,9 +289,15 @@ def _look(world: World, model: Model, taught: Mapping[Atom, bool], listener: Lis
     return state, frozenset(a for a, p in probabilities.items() if p > HOLDS)
 
 
-def _distrust(model: Model, failed: GroundSkill) -> Atom | None:
-    affordance = model.affordances.get(failed.name)
-    if affordance is None:
-        return None
-    predicate = next((p for p in model.abstraction.predicates if p.name == affordance.predicate), None)
-    return None if predicate is None else predicate(failed.objects[affordance.argument])
+def _distrust(model: Model, failed: GroundSkill, before: State) -> Atom | None:
+    """Of the learned atoms that a failed skill relies on the one that was the least certain before it."""
+    named = {p.name: p for p in model.abstraction.predicates}
+    atoms = [
+        named[a.predicate](failed.objects[a.argument])
+        for a in model.affordances.get(failed.name, ())
+        if a.predicate in named
+    ]
+    if len(atoms) < 2:
+        return atoms[0] if atoms else None
+    seen = model.abstraction.abstract(before)
+    return min(atoms, key=lambda atom: seen[atom])

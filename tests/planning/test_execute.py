@@ -128,7 +128,7 @@ def test_the_same_failure_again_and_again_ends_stuck() -> None:
 
 def test_what_was_learned_is_doubted_where_restoring_it_fails_again_and_again() -> None:
     """Clean is said to be false whatever is wiped; filling the cup works all the same."""
-    unwiped, relies = (nothing, Outcome(Ending.DONE)), {"Fill": Affordance("Clean", 0)}
+    unwiped, relies = (nothing, Outcome(Ending.DONE)), {"Fill": (Affordance("Clean", 0),)}
     world = kitchen(open="a")
     notes = Notes()
     result = plan_f(world, model(world, Wipe=unwiped, affordances=relies), GOAL, listener=notes)
@@ -148,13 +148,22 @@ def test_what_was_learned_is_doubted_where_restoring_it_fails_again_and_again() 
 
 def test_a_skill_that_was_tried_against_what_was_learned_and_failed_is_not_tried_at_once_again() -> None:
     world = kitchen(open="a")
-    relies = {"Fill": Affordance("Clean", 0)}
+    relies = {"Fill": (Affordance("Clean", 0),)}
     unfilled = model(
         world, Wipe=(nothing, Outcome(Ending.DONE)), Fill=(nothing, Outcome(Ending.BLOCKED)), affordances=relies
     )
     result = plan_f(world, unfilled, GOAL)
     assert [t.skill for t in result.transitions] == ["Wipe", "Wipe", "Fill", "Wipe", "Fill", "Wipe", "Fill", "Wipe"]
     assert result.end is End.STUCK
+
+
+@pytest.mark.parametrize(("unsure", "mend"), [("open", "Unlid"), ("clean", "Wipe")])
+def test_of_several_learned_atoms_a_failure_is_put_down_to_the_least_certain(unsure: str, mend: str) -> None:
+    world = kitchen(open="a", clean="a")
+    world.state = world.state.with_features(A, **{unsure: 0.7})
+    relies = {"Fill": (Affordance("Open", 0), Affordance("Clean", 0))}
+    result = plan_f(world, model(world, Fill=(nothing, Outcome(Ending.BLOCKED)), affordances=relies), GOAL)
+    assert [t.skill for t in result.transitions][:2] == ["Fill", mend]
 
 
 def test_failures_are_counted_for_each_ground_skill_by_itself() -> None:

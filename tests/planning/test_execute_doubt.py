@@ -30,7 +30,7 @@ from tests.planning.kitchen import (
     setting,
 )
 
-AFFORDANCES = {"Fill": Affordance("Clean", 0)}
+AFFORDANCES = {"Fill": (Affordance("Clean", 0),)}
 
 
 def test_after_a_failure_the_atom_it_relied_on_is_distrusted_until_restored() -> None:

@@ -66,7 +66,7 @@ def model(world: Kitchen, freeing: Change, put: bool = True) -> Model:
     }
     operators = (TAKE, STACK, FREE, PUT) if put else (TAKE, STACK, FREE)
     abstraction = Abstraction((HELD, READY, STACKED, EMPTY), classifiers)
-    affordances = {"Take": Affordance("Ready", 0), "Stack": Affordance("Ready", 1)}
+    affordances = {"Take": (Affordance("Ready", 0),), "Stack": (Affordance("Ready", 1),)}
     return Model({name: skill(name) for name in does}, abstraction, operators, affordances)
 
 
