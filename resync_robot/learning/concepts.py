@@ -26,6 +26,7 @@ from resync_robot.learning.fit import COMPACT, PAPER, SCREENING, Fit, FitConfig,
 from resync_robot.learning.model import Concepts, GivenModel, assemble, known_model, quantifications
 from resync_robot.learning.operators import Evidence, OperatorConfig, evidence, explained_failures
 from resync_robot.learning.select import PAPER_J, Concept, SelectConfig, Selector, select
+from resync_robot.learning.tuning import TuneConfig, tune_known
 from resync_robot.planning.abstract import HOLDS, Abstraction, Form, Not
 
 Mode = Literal["default", "paper"]
@@ -53,6 +54,7 @@ class ConceptConfig:
     max_screening_loss_attempts: float = 0.45
     operators: OperatorConfig = field(default_factory=OperatorConfig)
     select: SelectConfig = field(default_factory=SelectConfig)
+    tune: TuneConfig = field(default_factory=TuneConfig)
 
     @staticmethod
     def of(mode: str) -> ConceptConfig:
@@ -97,31 +99,27 @@ def learn_concepts(
     trajectories = [t for s in stages for t in s.trajectories]
     view = merged_dataset if config.mode == "default" else variant_dataset
     dataset = view(trajectories, recoveries, real)
-    after = _skill_after(dataset, new.recovery)
-    failing = new.failed_skill if config.mode == "default" else variant_name(new.failed_skill, new.recovery)
-    affected = [s for s in (new.recovery, failing, after) if s in dataset.signatures]
-
     parameters = _parameters(dataset.signatures, before.operators)
     truth, columns = _judged(before, dataset, parameters)
+    tuned: list[dict[str, Any]] = []
+    earlier = [t for s in stages[:-1] for t in s.trajectories]
+    if before.records and earlier:
+        progress("fine-tuning what is known", 0.0)
+        first_new = len(view(earlier, recoveries, real).runs)
+        before, tuned = tune_known(
+            before, dataset, first_new, truth, columns, recoveries, seed, config.fit, config.tune
+        )
+        truth, columns = _judged(before, dataset, parameters)
     pool = _Pool(dataset, parameters)
     pool.add_known(sorted(before.predicates), truth)
     explained = explained_failures(dataset, [*columns, *(c.evidence for c in pool.concepts)])
     # What an earlier recovery mended is not what the new one is about.
     explained |= {f for run in dataset.runs for f in run.failures if f.mended_by in recoveries[:-1]}
 
-    proposals = candidates(new.recovery, affected, dataset.signatures)
-    if config.mode == "default":
-        attempted = {step.skill for run in dataset.runs for step in (*run.steps, *run.failures)}
-        tried = [op.name for op in before.operators if op.name in attempted]
-        proposals += affordances(new.recovery, tried, dataset.signatures)
-    kept, log = _train(dataset, proposals, explained, config, seed, progress)
-    # A candidate that attempts label supersedes the one with the same effects whose boundary is left to luck.
-    better = {(c.types, c.effects) for c, _ in kept if c.attempts is not None}
-    kept = [(c, f) for c, f in kept if c.attempts is not None or (c.types, c.effects) not in better]
-    # The preferred ones first: of concepts that always agree only the first is pooled.
-    for candidate, fitted in sorted(
-        kept, key=lambda pair: (pair[0].attempts is None, len(pair[0].effects), pair[1].loss)
-    ):
+    kept, log = _train(
+        dataset, _proposals(dataset, new, before.operators, config.mode), explained, config, seed, progress
+    )
+    for candidate, fitted in kept:
         pool.add_learned(candidate, fitted)
     selector = Selector(
         dataset, truth, columns, parameters, {op.name: op for op in before.operators}, config.select, config.operators
@@ -131,6 +129,7 @@ def learn_concepts(
     report = {
         "mode": config.mode,
         "seed": seed,
+        "tuned": tuned,
         "candidates": log,
         "pool": len(pool.concepts),
         "demonstrations": len(selector.demonstrations),
@@ -161,6 +160,18 @@ def _variants(dataset: Dataset, skills: Collection[str], recoveries: Sequence[st
     return {variant: skill for variant, skill in named.items() if variant in dataset.signatures}
 
 
+def _proposals(dataset: Dataset, new: StageData, operators: Sequence[Operator], mode: Mode) -> list[Candidate]:
+    """The candidates of a stage: effect vectors, and where failures count what the attempts of each skill label."""
+    published = variant_name(new.failed_skill, new.recovery)
+    around = (new.recovery, new.failed_skill if mode == "default" else published, _skill_after(dataset, new.recovery))
+    proposals = candidates(new.recovery, [s for s in around if s in dataset.signatures], dataset.signatures)
+    if mode == "default":
+        attempted = {step.skill for run in dataset.runs for step in (*run.steps, *run.failures)}
+        tried = [op.name for op in operators if op.name in attempted]
+        proposals += affordances(new.recovery, tried, dataset.signatures)
+    return proposals
+
+
 def _skill_after(dataset: Dataset, recovery: str) -> str:
     """The skill that most often follows the recovery."""
     following = Counter(
@@ -181,7 +192,12 @@ def _train(
     seed: int,
     progress: Progress,
 ) -> tuple[list[tuple[Candidate, Fit]], list[dict[str, Any]]]:
-    """Contradictions out, a small net for each that is left, the full one where the small one fits."""
+    """Contradictions out, a small net for each that is left, the full one where the small one fits.
+
+    Returns:
+        What fits, the preferred ones first: of concepts that always agree only the first is pooled. And what became of
+        each.
+    """
     kept: list[tuple[Candidate, Fit]] = []
     log: list[dict[str, Any]] = []
     for i, candidate in enumerate(proposals):
@@ -210,7 +226,10 @@ def _train(
         entry["verdict"] = "kept" if fits else "does not fit"
         if fits:
             kept.append((candidate, result))
-    return kept, log
+    # A candidate that attempts label supersedes the one with the same effects whose boundary is left to luck.
+    better = {(c.types, c.effects) for c, _ in kept if c.attempts is not None}
+    kept = [(c, f) for c, f in kept if c.attempts is not None or (c.types, c.effects) not in better]
+    return sorted(kept, key=lambda pair: (pair[0].attempts is None, len(pair[0].effects), pair[1].loss)), log
 
 
 def _parameters(signatures: Mapping[str, Sequence[Type]], given: Sequence[Operator]) -> dict[str, tuple[Variable, ...]]:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import GroundOperator
 from resync_robot.learning.concepts import ConceptConfig, Concepts
-from resync_robot.learning.fit import FitConfig
+from resync_robot.learning.fit import SCREENING, FitConfig
 from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.search import plan
 from tests.learning.toy import Toy
 
 SMALL = ConceptConfig(fit=FitConfig(widths=(64, 64), epochs=15, learning_rate=3e-3))
+QUICK = replace(SMALL, screening=replace(SCREENING, epochs=8))
+"""For sixty dreams, and two stages of them."""
 
 
 def success(concepts: Concepts, scenario: str, episodes: int, toy: Toy | None = None) -> float:
