@@ -96,19 +96,14 @@ def learn_concepts(
             raise UnknownNameError("failed skill", s.failed_skill, list(real))
         real[s.recovery] = tuple(s.recovery_types)
     recoveries = [s.recovery for s in stages]
-    trajectories = [t for s in stages for t in s.trajectories]
     view = merged_dataset if config.mode == "default" else variant_dataset
-    dataset = view(trajectories, recoveries, real)
+    dataset = view([s.trajectories for s in stages], recoveries, real)
     parameters = _parameters(dataset.signatures, before.operators)
     truth, columns = _judged(before, dataset, parameters)
     tuned: list[dict[str, Any]] = []
-    earlier = [t for s in stages[:-1] for t in s.trajectories]
-    if before.records and earlier:
+    if before.records:
         progress("fine-tuning what is known", 0.0)
-        first_new = len(view(earlier, recoveries, real).runs)
-        before, tuned = tune_known(
-            before, dataset, first_new, truth, columns, recoveries, seed, config.fit, config.tune
-        )
+        before, tuned = tune_known(before, dataset, truth, columns, recoveries, seed, config.fit, config.tune)
         truth, columns = _judged(before, dataset, parameters)
     pool = _Pool(dataset, parameters)
     pool.add_known(sorted(before.predicates), truth)
@@ -140,7 +135,7 @@ def learn_concepts(
     }
     concepts = assemble(given, before, columns, selection, pool.concepts, len(stages), report)
     learned = Abstraction(concepts.predicates, concepts.classifiers)
-    gone = experience(trajectories, learned, concepts.operators)
+    gone = experience((t for s in stages for t in s.trajectories), learned, concepts.operators)
     return replace(concepts, report={**concepts.report, "experience": gone})
 
 

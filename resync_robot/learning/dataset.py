@@ -6,7 +6,7 @@ the next one are the same moment, and so are the states around a failed attempt 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from resync_robot.core.errors import TrainingError
@@ -57,6 +57,7 @@ class Run:
         steps: successful attempts in order; where the trajectory is solved they are the demonstration.
         failures: attempts that failed (`after` is the moment that followed).
         first: the moment the trajectory starts from.
+        stage: whose data it belongs to, from 1.
     """
 
     steps: tuple[Step, ...]
@@ -66,6 +67,7 @@ class Run:
     solved: bool
     source: str
     objects: tuple[Object, ...]
+    stage: int
 
 
 @dataclass(frozen=True)
@@ -87,29 +89,29 @@ class Dataset:
 
 
 def merged_dataset(
-    trajectories: Sequence[Trajectory], recoveries: Collection[str], signatures: Mapping[str, tuple[Type, ...]]
+    stages: Sequence[Sequence[Trajectory]], recoveries: Collection[str], signatures: Mapping[str, tuple[Type, ...]]
 ) -> Dataset:
     """The default view: a failed attempt and the recovery after it are one use of the recovery skill.
 
     The recovery then means "approach until the failure detector fires, then recover", it starts from the state in
     which the attempt began, and no symbol is spent on failing on purpose. Failed attempts stay as labels.
     """
-    builder = _Builder(signatures)
-    for t in trajectories:
-        builder.add(t, [(x, x.skill) for x in t.transitions], recoveries)
+    builder = _Builder(signatures, recoveries)
+    for stage, t in _numbered(stages):
+        builder.add(t, [(x, x.skill) for x in t.transitions], stage)
     return builder.dataset()
 
 
 def variant_dataset(
-    trajectories: Sequence[Trajectory], recoveries: Collection[str], signatures: Mapping[str, tuple[Type, ...]]
+    stages: Sequence[Sequence[Trajectory]], recoveries: Collection[str], signatures: Mapping[str, tuple[Type, ...]]
 ) -> Dataset:
     """The published view: a failed attempt that a recovery follows is a skill of its own, `FAILED_RECOVERY`.
 
     Only solved trajectories count, and attempts that failed for good are left out.
     """
     known = dict(signatures)
-    builder = _Builder(known)
-    for t in trajectories:
+    builder = _Builder(known, recoveries)
+    for stage, t in _numbered(stages):
         if not t.solved or t.source == ATTEMPT:
             continue
         named: list[tuple[Transition, str]] = []
@@ -120,7 +122,7 @@ def variant_dataset(
                 variant = variant_name(x.skill, following.skill)
                 known[variant] = known[x.skill]
                 named.append((Transition(x.before, variant, x.objects, x.after, True), variant))
-        builder.add(Trajectory(tuple(x for x, _ in named), t.goal, True, t.source), named, recoveries)
+        builder.add(Trajectory(tuple(x for x, _ in named), t.goal, True, t.source), named, stage)
     return builder.dataset()
 
 
@@ -129,14 +131,18 @@ def variant_name(failed_skill: str, recovery: str) -> str:
     return f"{failed_skill}_{recovery}"
 
 
+def _numbered(stages: Sequence[Sequence[Trajectory]]) -> Iterator[tuple[int, Trajectory]]:
+    return ((n, t) for n, trajectories in enumerate(stages, start=1) for t in trajectories)
+
+
 class _Builder:
-    def __init__(self, signatures: Mapping[str, tuple[Type, ...]]) -> None:
-        self.signatures = signatures
+    def __init__(self, signatures: Mapping[str, tuple[Type, ...]], recoveries: Collection[str]) -> None:
+        self.signatures, self.recoveries = signatures, recoveries
         self.states: list[State] = []
         self.moments: list[list[int]] = []
         self.runs: list[Run] = []
 
-    def add(self, t: Trajectory, transitions: Sequence[tuple[Transition, str]], recoveries: Collection[str]) -> None:
+    def add(self, t: Trajectory, transitions: Sequence[tuple[Transition, str]], stage: int) -> None:
         if not transitions:
             return
         steps: list[Step] = []
@@ -152,11 +158,11 @@ class _Builder:
                 steps.append(Step(skill, x.objects, now, after))
                 now = after
                 continue
-            mended_by = next((s for y, s in transitions[i + 1 : i + 2] if s in recoveries and y.succeeded), "")
+            mended_by = next((s for y, s in transitions[i + 1 : i + 2] if s in self.recoveries and y.succeeded), "")
             after = now if mended_by else self._moment(x.after)
             failures.append(Step(skill, x.objects, now, after, mended_by))
             now = after
-        self.runs.append(Run(tuple(steps), tuple(failures), first, t.goal, t.solved, t.source, t.objects))
+        self.runs.append(Run(tuple(steps), tuple(failures), first, t.goal, t.solved, t.source, t.objects, stage))
 
     def _moment(self, state: State) -> int:
         self.moments.append([])

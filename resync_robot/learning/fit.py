@@ -144,8 +144,7 @@ def _train(
     optimiser = torch.optim.AdamW(net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
     label_pool = np.flatnonzero(~held_out[examples.label_run])
     pair_pool = np.flatnonzero(~held_out[examples.pair_run])
-    steps = max(config.min_steps_per_epoch, -(-min(len(label_pool), config.labels_per_epoch) // config.batch))
-    steps = max(1, min(steps, len(label_pool) // 8))
+    steps = steps_in_epoch(len(label_pool), config)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, config.learning_rate, config.epochs * steps)
     best, best_loss = copy.deepcopy(net.state_dict()), float("inf")
     check = inputs()
@@ -165,6 +164,12 @@ def _train(
             # A deep copy: a plain dict of the state would alias the weights that go on training.
             best, best_loss = copy.deepcopy(net.state_dict()), now
     return best, best_loss
+
+
+def steps_in_epoch(labels: int, config: FitConfig) -> int:
+    """Into how many batches so many labels are cut."""
+    steps = max(config.min_steps_per_epoch, -(-min(labels, config.labels_per_epoch) // config.batch))
+    return max(1, min(steps, labels // 8))
 
 
 def train_epoch(

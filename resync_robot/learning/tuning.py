@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import nn
 
-from resync_robot.core.library import Record
 from resync_robot.core.symbols import Atoms
 from resync_robot.learning.classifiers import NeuralClassifier
 from resync_robot.learning.dataset import Dataset
@@ -29,6 +28,7 @@ from resync_robot.learning.fit import (
     folded,
     loss_of,
     noisy_inputs,
+    steps_in_epoch,
     train_epoch,
 )
 from resync_robot.learning.model import Concepts, is_neural
@@ -64,7 +64,6 @@ class Tuned:
 def tune_known(
     known: Concepts,
     dataset: Dataset,
-    first_new: int,
     truth: Sequence[Atoms],
     columns: Sequence[Evidence],
     recoveries: Sequence[str],
@@ -75,7 +74,7 @@ def tune_known(
     """The known model with its classifiers fine-tuned and their effect vectors extended to the new recovery.
 
     Args:
-        dataset: of all stages; runs from `first_new` on are those of the new one.
+        dataset: of all stages.
         truth: for each moment the atoms that hold by the known classifiers.
         columns: of each known predicate, in their order.
         recoveries: of all stages, the new one last.
@@ -83,7 +82,7 @@ def tune_known(
     Returns:
         The model, and what became of each classifier.
     """
-    fresh = replace(dataset, runs=dataset.runs[first_new:])
+    fresh = replace(dataset, runs=tuple(run for run in dataset.runs if run.stage == len(recoveries)))
     # Of a failure in the new dreams the cause may be the new one, unless an earlier recovery mended it.
     unsure = {f for run in fresh.runs for f in run.failures if f.mended_by not in recoveries[:-1]}
     predicates = sorted(known.predicates)
@@ -104,14 +103,13 @@ def tune_known(
         if supervision.contradicted:
             entry["verdict"] = "contradicted by the data, not trained"
             continue
-        tuned = tune(dataset, first_new, wider, supervision, classifier, seed + i, fit_config, config)
+        tuned = tune(dataset, wider, supervision, classifier, seed + i, fit_config, config)
         entry["verdict"] = "as it was" if tuned is None or not tuned.kept else "tuned"
         if tuned is not None:
             entry |= {"loss_before": _rounded(tuned.before), "loss": _rounded(tuned.after)}
-            classifiers[predicate.name] = tuned.classifier
+            classifier = classifiers[predicate.name] = tuned.classifier
         marks = {"tuned": len(recoveries)} if tuned is not None and tuned.kept else {}
-        again = (tuned.classifier if tuned else classifier).to_record({**meta, **candidate_to_json(wider), **marks})
-        records[predicate.name] = Record(again.meta, again.tensors)
+        records[predicate.name] = classifier.to_record({**meta, **candidate_to_json(wider), **marks})
     return replace(known, classifiers=classifiers, records=records), log
 
 
@@ -121,7 +119,6 @@ def _rounded(losses: tuple[float, float]) -> list[float]:
 
 def tune(
     dataset: Dataset,
-    first_new: int,
     candidate: Candidate,
     supervision: Supervision,
     start: NeuralClassifier,
@@ -131,13 +128,16 @@ def tune(
 ) -> Tuned | None:
     """Train a classifier on, and take the epoch that fits old and new data best among those that fit neither worse.
 
+    The new data are those of the last stage.
+
     Returns:
         None where the old or the new runs are too few to train on some and judge by others.
     """
     rows, examples = examples_of(dataset, candidate, supervision, fit_config)
     rng = np.random.default_rng(seed)
     held_out = rng.random(len(dataset.runs)) < VALIDATION_SHARE
-    new = np.arange(len(dataset.runs)) >= first_new
+    numbers = np.array([run.stage for run in dataset.runs])
+    new = numbers == numbers.max()
     sides = (~new, new)
     labels = [np.flatnonzero((side & ~held_out)[examples.label_run]) for side in sides]
     pairs = [np.flatnonzero((side & ~held_out)[examples.pair_run]) for side in sides]
@@ -162,7 +162,7 @@ def tune(
             old, fresh = (float(loss_of(logits, examples, of, among)) for of, among in judged)
         return old, fresh
 
-    steps = max(1, 2 * min(map(len, labels)) // fit_config.batch)
+    steps = steps_in_epoch(2 * min(map(len, labels)), fit_config)
     rate = config.rate * fit_config.learning_rate
     optimiser = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=fit_config.weight_decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, config.epochs * steps)

@@ -31,7 +31,7 @@ def one_thread():
 @pytest.fixture(scope="module")
 def data():
     toy = Toy(3)
-    return merged_dataset(toy.dreams(60) + toy.attempts(80, covered=False), ("Recover",), SIGNATURES)
+    return merged_dataset([toy.dreams(60) + toy.attempts(80, covered=False)], ("Recover",), SIGNATURES)
 
 
 @pytest.fixture(scope="module")

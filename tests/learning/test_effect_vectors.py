@@ -59,7 +59,7 @@ def test_data_show_the_effects_on_a_known_predicate() -> None:
     toy, b = Toy(0, noise=False), (BLOCK("b0"), BLOCK("b1"))
     tries = [("Pick", (ROBOT_0, b[0])), ("Insert", (ROBOT_0, *b))]
     runs = [toy.record(toy.scene(2, lambda i: "free"), tries, frozenset(), "test") for _ in range(4)]
-    data = merged_dataset(runs, ("Recover",), SIGNATURES)
+    data = merged_dataset([runs], ("Recover",), SIGNATURES)
     height = [data.state_at(m)[b[0]][2] for m in range(len(data.moments))]
     on = [frozenset({ON(*b)}) if 0.06 < z < 0.1 else frozenset() for z in height]
     assert measured_effects(data, on, ON, "Insert") == [Effect("Insert", (1, 2), 1)]

@@ -40,24 +40,23 @@ def nudged(t: Trajectory) -> Trajectory:
 
 @dataclass(frozen=True)
 class Known:
-    """A predicate learned from `old` runs, and the data of a stage that comes after."""
+    """A predicate learned from the runs of a first stage, and the data of both."""
 
     concepts: Concepts
     dataset: Dataset
-    first_new: int
 
 
 @pytest.fixture(scope="module")
 def known() -> Known:
     old = Toy(0).dreams(40)
-    alone = merged_dataset(old, ("Recover",), SIGNATURES)
+    alone = merged_dataset([old], ("Recover",), SIGNATURES)
     with one_thread():
         found = fit(alone, CANDIDATE, supervise(alone, CANDIDATE), 0, FIT)
     record = found.classifier.to_record({"stage": 1, **candidate_to_json(CANDIDATE)})
     classifiers = {**DOMAIN.classifiers, READY.name: found.classifier}
     concepts = Concepts((*DOMAIN.predicates, READY), classifiers, DOMAIN.operators, {READY.name: record}, {})
     new = [nudged(t) for t in Toy(1).dreams(40)]
-    return Known(concepts, merged_dataset([*old, *new], ("Recover", "Nudge"), SIGNATURES), len(alone.runs))
+    return Known(concepts, merged_dataset([old, new], ("Recover", "Nudge"), SIGNATURES))
 
 
 def tune_all(known: Known) -> tuple[Concepts, list[dict[str, object]]]:
@@ -66,9 +65,7 @@ def tune_all(known: Known) -> tuple[Concepts, list[dict[str, object]]]:
     columns = [dict.fromkeys(SIGNATURES, ()) for _ in judge.predicates]
     recoveries = ("Recover", "Nudge")
     with one_thread():
-        return tune_known(
-            known.concepts, known.dataset, known.first_new, truth, columns, recoveries, 0, FIT, TuneConfig()
-        )
+        return tune_known(known.concepts, known.dataset, truth, columns, recoveries, 0, FIT, TuneConfig())
 
 
 def test_an_effect_of_the_new_skill_comes_to_the_vector_and_both_stages_fit_no_worse(known: Known) -> None:
@@ -85,24 +82,25 @@ def test_an_effect_of_the_new_skill_comes_to_the_vector_and_both_stages_fit_no_w
 
 def test_a_failure_whose_cause_may_be_the_new_one_labels_nothing(known: Known, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
-    monkeypatch.setattr(tuning, "tune", lambda dataset, first_new, wider, supervision, *_: seen.append(supervision))
+    monkeypatch.setattr(tuning, "tune", lambda dataset, wider, supervision, *_: seen.append(supervision))
     found, _ = tune_all(known)
-    told = {(label.run >= known.first_new, label.value) for label in seen[0].labels if label.direct}
-    assert told == {(False, 0), (False, 1), (True, 1)}
+    told = {(known.dataset.runs[label.run].stage, label.value) for label in seen[0].labels if label.direct}
+    assert told == {(1, 0), (1, 1), (2, 1)}
     assert found.classifiers == known.concepts.classifiers
 
 
 def test_what_would_cost_the_earlier_stage_is_not_kept(known: Known) -> None:
     """New dreams that say the opposite of the old ones."""
     told = supervise(known.dataset, CANDIDATE)
-    lies = tuple(replace(x, value=1 - x.value) if x.run >= known.first_new else x for x in told.labels)
+    new = {i for i, run in enumerate(known.dataset.runs) if run.stage == 2}
+    lies = tuple(replace(x, value=1 - x.value) if x.run in new else x for x in told.labels)
     start = known.concepts.classifiers["Ready"]
     with one_thread():
-        found = tune(known.dataset, known.first_new, CANDIDATE, replace(told, labels=lies), start, 0, FIT, TuneConfig())
+        found = tune(known.dataset, CANDIDATE, replace(told, labels=lies), start, 0, FIT, TuneConfig())
     assert found is not None and not found.kept and found.classifier is start
 
 
-def test_without_data_of_one_side_nothing_is_tuned(known: Known) -> None:
+def test_without_data_of_an_earlier_stage_nothing_is_tuned(known: Known) -> None:
     told, start = supervise(known.dataset, CANDIDATE), known.concepts.classifiers["Ready"]
-    for first_new in (0, len(known.dataset.runs)):
-        assert tune(known.dataset, first_new, CANDIDATE, told, start, 0, FIT, TuneConfig()) is None
+    one = replace(known.dataset, runs=tuple(replace(run, stage=2) for run in known.dataset.runs))
+    assert tune(one, CANDIDATE, told, start, 0, FIT, TuneConfig()) is None
