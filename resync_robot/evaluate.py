@@ -284,7 +284,7 @@ def _context(
         library = load_library(Path(path))
         # First, for it says what a library lacks.
         recovery = camera_recovery(domain, rig, library) if skills == "camera" else None
-        learned = doubting(learned_model(domain, rig, library, recovery))
+        learned = doubting(learned_model(domain, rig, library, [recovery] if recovery else []))
         methods[i, "resync"] = learned.abstraction, partial(plan_and_execute, model=learned)
         record = library.skills[domain.recovery]
         with_skill = doubting(model_with_recovery(domain, rig, record, recovery))

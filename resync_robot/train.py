@@ -206,6 +206,7 @@ def _run(settings: RunSettings, w: int, domain: Domain, folder: RunFolder) -> No
     from resync_robot import stages
     from resync_robot.distil import PLANS, distil
     from resync_robot.learning.concepts import learn_concepts
+    from resync_robot.learning.dataset import StageData
     from resync_robot.progress import Stages
 
     preset, seed = stages.PRESETS[settings.preset], settings.seed
@@ -235,15 +236,13 @@ def _run(settings: RunSettings, w: int, domain: Domain, folder: RunFolder) -> No
             trajectories = stages.dream_all(domain, folder, preset, record, gaussians, seed, w, progress)
         with folder.timed("concepts"), bars.stage("concepts") as progress:
             types = (domain.operators[0].parameters[0].type, mined.relevant.type, mined.culprit.failure_object.type)
+            data = StageData(domain.recovery, types, mined.culprit.skill, trajectories)
             concepts = learn_concepts(
-                trajectories,
+                [data],
                 domain,
-                domain.recovery,
-                types,
-                mined.culprit.skill,
-                settings.concepts,
-                seed,
-                lambda what, share: progress(share, what),
+                mode=settings.concepts,
+                seed=seed,
+                progress=lambda what, share: progress(share, what),
             )
             if not any(o.name == domain.recovery for o in concepts.operators):
                 raise TrainingError(
@@ -272,7 +271,7 @@ def _save(
     from importlib.metadata import version
 
     from resync_robot import __version__
-    from resync_robot.core.library import save_library
+    from resync_robot.core.library import LearnedFailure, LearnedStage, save_library
     from resync_robot.knowledge import make_library
     from resync_robot.model_card import with_card
     from resync_robot.plots import draw_learning_curve
@@ -280,18 +279,25 @@ def _save(
     metrics = folder.metrics
     folder.record("concepts", {"report": concepts.report})
     culprit = mined.culprit
+    cause = culprit.failure_object
+    stage = LearnedStage(
+        recovery=domain.recovery,
+        scenario=mined.scenario,
+        failure=LearnedFailure(
+            skill=culprit.skill,
+            argument=culprit.relevant_argument,
+            objects={cause.name: cause.type.name},
+            before={cause.name: gaussians["before"].to_json()},
+            after={cause.name: gaussians["after"].to_json()},
+        ),
+        figures={s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
+    )
     provenance = {
         **_kept(settings, folder),
         "version": __version__,
         "packages": {p: version(p) for p in ("torch", "lerobot", "sapien", "numpy", "pyperplan")},
-        "failure": {
-            "skill": culprit.skill,
-            "object": culprit.failure_object.name,
-            "relevant": mined.relevant.name,
-        },
-        "figures": {s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
     }
-    library = with_card(make_library(domain, folder.rig, record, gaussians, concepts, provenance, policy), domain)
+    library = with_card(make_library(domain, folder.rig, stage, record, concepts, provenance, policy), domain)
     save_library(library, folder.library)
     folder.record("save", {"content_hash": library.content_hash})
     recovery = metrics["recovery"]

@@ -22,7 +22,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Type
 from resync_robot.core.task import Domain, Sample, Task
 from resync_robot.planning.abstract import HOLDS, Abstraction
-from resync_robot.planning.execute import ExecuteSettings, Listener, Model, Result, plan_f
+from resync_robot.planning.execute import ExecuteSettings, Listener, Model, Result, plan_and_execute
 from resync_robot.planning.search import plan
 
 UNOBSTRUCTED, OBSTRUCTED = 0.95, 0.05
@@ -190,7 +190,7 @@ def _snapshots(body: Embodiment, model: Model, tasks: list[Task]) -> Verdict:
     worst = 0.0
     for task in tasks[:5]:
         world = body.simulate(task)
-        plan_f(world, model, task.goal, ExecuteSettings(max_failures=1))
+        plan_and_execute(world, model, task.goal, ExecuteSettings(max_failures=1))
         actions, kept, before, ends = _random(body, task.seed), world.save(), world.perceive(), []
         for _ in range(2):
             for action in actions:
@@ -264,7 +264,7 @@ class _Touched(Listener):
 def _attempt(body: Embodiment, model: Model, task: Task) -> tuple[Result, set[str]]:
     world = body.simulate(task)
     touched = _Touched(world)
-    return plan_f(world, model, task.goal, ExecuteSettings(max_failures=1), touched), touched.names
+    return plan_and_execute(world, model, task.goal, ExecuteSettings(max_failures=1), touched), touched.names
 
 
 def _random(body: Embodiment, seed: int = 0) -> list[np.ndarray]:

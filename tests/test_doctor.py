@@ -175,7 +175,7 @@ def test_a_gpu_that_torch_cannot_use_is_a_warning(answer: str, status: str, monk
 def test_libraries(tmp_path: Path) -> None:
     assert doctor.check_libraries(tmp_path).status == "warn"
     folder = tmp_path / "test-domain"
-    save_library(Library("test-domain", "abc", "(define)", {}, {}, {}, {}), folder)
+    save_library(Library("test-domain", "abc", "(define)", {}, {}, (), {}), folder)
     finding = doctor.check_libraries(tmp_path)
     assert finding.status == "ok"
     assert "test-domain" in finding.detail

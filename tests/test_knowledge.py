@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-import torch
 
 from resync_robot.core.errors import LibraryError, PolicyError
 from resync_robot.core.library import load_library
@@ -14,13 +13,13 @@ from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.knowledge import (
     camera_recovery,
     initial_model,
+    known_concepts,
     learned_model,
     make_library,
     model_with_recovery,
     sees_by_camera,
     shipped_library,
 )
-from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.model import Concepts
 from resync_robot.planning.pddl import domain_to_pddl
 from resync_robot.planning.search import plan
@@ -61,8 +60,8 @@ def test_a_library_comes_back_as_the_model_it_was_made_of() -> None:
             "experience": {"Pick": [{"predicate": "HandEmpty", "argument": 0, "held": [1, 2], "otherwise": [0, 3]}]},
         },
     )
-    gaussian = PairGaussian.fit([torch.rand(4).numpy() for _ in range(5)], (1e-3,) * 4)
-    library = make_library(CORNERED, RIG, recovery_record(), {"before": gaussian}, concepts, {"seed": 1})
+    stage = given_library().stages[0]
+    library = make_library(CORNERED, RIG, stage, recovery_record(), concepts, {"seed": 1})
     model = learned_model(CORNERED, RIG, library)
     assert set(model.operators) == set(CORNERED.operators)
     assert set(model.abstraction.predicates) == set(CORNERED.predicates)
@@ -71,8 +70,23 @@ def test_a_library_comes_back_as_the_model_it_was_made_of() -> None:
     # Nine of ten are expected before there is experience.
     assert [model.costs.success(pick, atoms) for atoms in ({hand_empty}, set())] == pytest.approx([10 / 12, 9 / 13])
     assert model.learned == {}
-    assert library.gaussians == {"before": gaussian.to_json()}
+    assert library.stages == (stage,)
     assert (library.rig_hash, library.provenance) == (RIG.hash, {"seed": 1})
+
+
+def test_a_later_stage_comes_to_what_was_known() -> None:
+    """Two recoveries, each with its record, stage and camera policy; the model has both."""
+    first = replace(given_library(), policies={"Recover": {"config.json": b"1"}})
+    concepts = known_concepts(CORNERED, first)
+    stage = replace(first.stages[0], recovery="Push", scenario="s2")
+    policy = {"config.json": b"2"}
+    both = make_library(CORNERED, RIG, stage, recovery_record(0.5), concepts, {"seed": 2}, policy, known=first)
+    assert [s.recovery for s in both.stages] == ["Recover", "Push"] and both.stage("Push") == stage
+    assert both.skills["Recover"] is first.skills["Recover"] and set(both.skills) == {"Recover", "Push"}
+    assert both.policies == {"Recover": {"config.json": b"1"}, "Push": policy}
+    assert set(learned_model(CORNERED, RIG, both).skills) == {"Pick", "Insert", "Place", "Recover", "Push"}
+    with pytest.raises(LibraryError, match="no skill 'Pull'"):
+        both.stage("Pull")
 
 
 def test_what_a_domain_was_given_since_a_library_was_learned_comes_with_it() -> None:
@@ -122,6 +136,8 @@ def test_a_library_of_another_domain_is_refused() -> None:
 def test_a_library_without_the_recovery_is_refused() -> None:
     with pytest.raises(LibraryError, match="no skill 'Recover'"):
         learned_model(CORNERED, RIG, replace(given_library(), skills={}))
+    with pytest.raises(LibraryError, match="no stage"):
+        learned_model(CORNERED, RIG, replace(given_library(), stages=()))
 
 
 @pytest.mark.parametrize("part", ["policy", "terminal"])
@@ -170,7 +186,7 @@ def test_a_broken_camera_policy_is_one_clear_error() -> None:
 
 def test_a_recovery_can_be_put_in_place_of_the_one_that_follows_the_state() -> None:
     other = replace(learned_model(CORNERED, RIG, given_library()).skill(CORNERED.recovery), live_state=False)
-    model = learned_model(CORNERED, RIG, given_library(), other)
+    model = learned_model(CORNERED, RIG, given_library(), [other])
     assert model.skill(CORNERED.recovery) is other
 
 

@@ -6,7 +6,7 @@ import pytest
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import ExecuteSettings, Model, Result, plan_f
+from resync_robot.planning.execute import ExecuteSettings, Model, Result, plan_and_execute
 from tests.domains import PUCK_DOMAIN, puck
 
 BODY = PUCK_DOMAIN.embodiment
@@ -27,7 +27,7 @@ def push(world: puck.Rooms, times: int, speed: float = 1.0) -> None:  # type: ig
 
 
 def carry_out(world: puck.Rooms, task: Task) -> Result:  # type: ignore[name-defined]
-    return plan_f(world, MODEL, task.goal, ONCE)
+    return plan_and_execute(world, MODEL, task.goal, ONCE)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -91,7 +91,7 @@ def test_a_room_follows_from_its_state() -> None:
 def test_what_is_held_is_held_again_after_a_reset() -> None:
     task = drawn("open")
     world = puck.Rooms(task)
-    plan_f(world, MODEL, frozenset({puck.HOLDING(ROBOT, PUCK)}), ONCE)
+    plan_and_execute(world, MODEL, frozenset({puck.HOLDING(ROBOT, PUCK)}), ONCE)
     held = world.perceive()
     again = puck.Rooms(task)
     assert again.reset(held) and again.perceive() == held

@@ -32,7 +32,7 @@ def one_thread():
 @pytest.fixture(scope="module")
 def data():
     toy = Toy(3)
-    return merged_dataset(toy.dreams(60) + toy.attempts(80, covered=False), "Recover", SIGNATURES)
+    return merged_dataset([toy.dreams(60) + toy.attempts(80, covered=False)], ("Recover",), SIGNATURES)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_batch_agrees_with_single_calls(fitted) -> None:
 
 def test_it_survives_a_library_folder(fitted, tmp_path) -> None:
     record = fitted.classifier.to_record({"loss": 0.1})
-    library = Library("d", "hash", "(define (domain d))", {"Ready": record}, {}, {}, {})
+    library = Library("d", "hash", "(define (domain d))", {"Ready": record}, {}, (), {})
     save_library(library, tmp_path / "library")
     loaded = NeuralClassifier.from_record(
         "Ready", load_library(tmp_path / "library").predicates["Ready"], TYPES, RELATIONS
