@@ -16,12 +16,12 @@ from resync_robot.core.embodiment import Embodiment, Stage
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.symbols import Type
 from resync_robot.core.task import Domain
+from resync_robot.learning.learned_recovery import LearnedRecovery
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.relational_view import RelationalView
 from resync_robot.learning.success_model import SuccessModel
 from resync_robot.learning.terminals import train_terminal
 from resync_robot.planning.execute import Model
-from resync_robot.policies.learned_recovery import LearnedRecovery
 from resync_robot.sim_training.failure_mining import Explanation, FailedAttempt
 from resync_robot.sim_training.ppo import Environment, PpoSettings, Progress, train_policy
 from resync_robot.sim_training.recovery_env import Judge, JudgedSettings, RecoveryEnv, Start, try_from
