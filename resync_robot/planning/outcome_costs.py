@@ -49,8 +49,9 @@ class CostSettings:
 
     prior: float = 0.9
     """Probability that a step succeeds which nobody has tried."""
-    weight: float = 10.0
-    """How many attempts this expectation counts for."""
+    weight: float = 5.0
+    """How many attempts this expectation counts for, and how many the skill's success in all circumstances together
+    counts for where one of them is judged."""
     step: float = 0.1
     """Cost of any step, beside its risk: one more step is worth it where it makes success more likely by a tenth."""
 
@@ -75,17 +76,16 @@ class OutcomeCosts:
         """Probability that the step succeeds where its preconditions and `atoms` hold.
 
         The successes, and the failures, under all these circumstances at once are estimated from the counts under each
-        of them, as if they were independent (naive Bayes). The prior is a beta distribution.
+        of them, as if they were independent (naive Bayes). The prior is a beta distribution, between what is expected
+        of any step and how this skill does on the whole: untried circumstances are a little riskier than others.
         """
-        won = lost = 0.0
-        for i, tally in enumerate(self._tallies.get(step.name, ())):
+        won, lost = self._whole(step)
+        for tally in self._tallies.get(step.name, ()):
             all_won, tried = tally.total
             here_won, here = tally.held if tally.atom(step) in atoms else tally.otherwise
-            if i == 0:
-                won, lost = float(all_won), float(tried - all_won)
             won *= here_won / all_won if all_won else 0.0
             lost *= (here - here_won) / (tried - all_won) if tried > all_won else 0.0
-        return self._posterior(won, lost)
+        return self._posterior(step, won, lost)
 
     def cost(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
         """Of running the step where `atoms` hold; above 0."""
@@ -93,9 +93,14 @@ class OutcomeCosts:
 
     def least(self, step: GroundOperator) -> float:
         """No circumstances make the step cheaper than this."""
-        won = max((tally.total[0] for tally in self._tallies.get(step.name, ())), default=0)
-        return self._settings.step - math.log(self._posterior(won, 0.0))
+        return self._settings.step - math.log(self._posterior(step, self._whole(step)[0], 0.0))
 
-    def _posterior(self, won: float, lost: float) -> float:
-        s = self._settings
-        return (won + s.weight * s.prior) / (won + lost + s.weight)
+    def _whole(self, step: GroundOperator) -> tuple[float, float]:
+        """Successes and failures of its skill."""
+        won, tried = next((tally.total for tally in self._tallies.get(step.name, ())), (0, 0))
+        return float(won), float(tried - won)
+
+    def _posterior(self, step: GroundOperator, won: float, lost: float) -> float:
+        s, (all_won, all_lost) = self._settings, self._whole(step)
+        usual = (all_won + s.weight * s.prior) / (all_won + all_lost + s.weight)
+        return (won + s.weight * (usual + s.prior)) / (won + lost + 2 * s.weight)

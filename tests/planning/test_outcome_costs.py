@@ -50,19 +50,20 @@ def test_a_further_step_is_taken_where_it_saves_more_risk_than_it_costs(won: int
 
 def test_success_is_estimated_from_counts_and_a_prior() -> None:
     pour = POUR.ground((A,))
-    clean, full = Tally(CLEAN, 0, (90, 100), (0, 0)), Tally(FULL, 0, (5, 10), (85, 90))
     assert OutcomeCosts({}).success(pour, {CLEAN(A)}) == pytest.approx(0.9)
-    one = OutcomeCosts({"Pour": [clean]})
-    assert one.success(pour, {CLEAN(A)}) == pytest.approx((90 + 9) / (100 + 10))
-    assert one.success(pour, set()) == pytest.approx(0.9), "never tried"
+    one = OutcomeCosts({"Pour": [Tally(CLEAN, 0, (98, 100), (0, 0))]})
+    usual = (98 + 5 * 0.9) / (100 + 5)
+    assert one.success(pour, {CLEAN(A)}) == pytest.approx((98 + 5 * usual + 5 * 0.9) / (100 + 10))
+    assert one.success(pour, set()) == pytest.approx((usual + 0.9) / 2), "never tried, and so a little riskier"
+    clean, full = Tally(CLEAN, 0, (90, 100), (0, 0)), Tally(FULL, 0, (5, 10), (85, 90))
     both = OutcomeCosts({"Pour": [clean, full]})
     assert both.atoms(pour) == [CLEAN(A), FULL(A)]
     # Of 90 successes 5 in 90 were with a full cup, of 10 failures 5 in 10.
     assert both.success(pour, {CLEAN(A), FULL(A)}) == pytest.approx((5 + 9) / (10 + 10))
     # That nobody ever tried either of two things is no worse than that nobody tried one.
     assert both.success(pour, {FULL(A)}) == pytest.approx(0.9)
-    sure = OutcomeCosts({"Pour": [clean]}, CostSettings(prior=0.5, weight=2, step=0.0))
-    assert sure.cost(pour, {CLEAN(A)}) == pytest.approx(-math.log(91 / 102)), "by Laplace's rule of succession"
+    free = OutcomeCosts({"Pour": [clean, full]}, CostSettings(step=0.0))
+    assert free.cost(pour, {CLEAN(A), FULL(A)}) == pytest.approx(-math.log(0.7))
 
 
 def test_out_of_reach_is_told_as_without_costs() -> None:
