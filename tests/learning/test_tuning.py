@@ -51,7 +51,7 @@ def known() -> Known:
     old = Toy(0).dreams(40)
     alone = merged_dataset([old], ("Recover",), SIGNATURES)
     with one_thread():
-        found = fit(alone, CANDIDATE, supervise(alone, CANDIDATE), 0, FIT)
+        found = fit(alone, CANDIDATE, supervise(alone, CANDIDATE), 0, FIT, DOMAIN.relations)
     record = found.classifier.to_record({"stage": 1, **candidate_to_json(CANDIDATE)})
     classifiers = {**DOMAIN.classifiers, READY.name: found.classifier}
     concepts = Concepts((*DOMAIN.predicates, READY), classifiers, DOMAIN.operators, {READY.name: record}, {})

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atoms, Object, Type
+from resync_robot.core.symbols import ROUND, SE3, Atoms, Object, Type
 from resync_robot.core.trajectory import Trajectory
-from resync_robot.core.vocabulary import BLOCK, POSE, ROBOT
+from resync_robot.core.vocabulary import BLOCK, ROBOT
 from tests.learning.toy import BOX_0, DOMAIN, ON, ROBOT_0, Toy, holding
 
-CAN = Type("can", (*POSE, "radius", "height"))
+CAN = Type("can", (*SE3, "radius", "height"), pose=SE3, symmetry=ROUND)
 CAN_0, RADIUS, CAN_HEIGHT = CAN("can"), 0.025, 0.08
 PUSH = (ROBOT, BLOCK, CAN)
 DOMAIN_WITH_CAN = replace(DOMAIN, types=(*DOMAIN.types, CAN))
