@@ -28,6 +28,7 @@ from resync_robot.deploy import DeployConfig, deploy
 from resync_robot.doctor import DoctorConfig, doctor
 from resync_robot.emulate import EmulateConfig, emulate
 from resync_robot.evaluate import EvaluateConfig, evaluate
+from resync_robot.new_domain import NewDomainConfig, new_domain
 from resync_robot.review import ReviewConfig, review
 from resync_robot.signals import ended_by, number_of, raised, words_for
 from resync_robot.train import TrainConfig, train
@@ -41,6 +42,7 @@ COMMANDS: dict[str, tuple[type, Callable[[Any], int | None]]] = {
     "calibrate": (CalibrateConfig, calibrate),
     "doctor": (DoctorConfig, doctor),
     "check-domain": (CheckDomainConfig, check_domain),
+    "new-domain": (NewDomainConfig, new_domain),
 }
 """Name on the command line -> its settings and what runs with them."""
 

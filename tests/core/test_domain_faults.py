@@ -73,7 +73,6 @@ def with_scenario(**change: Any) -> Domain:
         (replace(GOOD, embodiment=replace(BODY, rate_hz=0.0)), "embodiment.rate_hz is 0.0"),
         (replace(GOOD, embodiment=replace(BODY, simulate=None)), "embodiment.simulate is of type NoneType"),
     ],
-    ids=str,
 )
 def test_each_fault_is_named(domain: Domain, words: str) -> None:
     assert words in of(domain)
@@ -94,7 +93,6 @@ SKILLS = BODY.skills()
         ((SKILLS[0], replace(SKILLS[1], rate_hz=0.0)), "skill Bring has a rate or a time limit"),
         ((*SKILLS, SKILLS[0]), "skill 'Fetch' is there twice"),
     ],
-    ids=str,
 )
 def test_each_fault_of_the_skills_is_named(skills: Any, words: str) -> None:
     assert words in "\n".join(what for what, _ in skill_faults(GOOD, skills))

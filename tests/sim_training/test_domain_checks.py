@@ -145,7 +145,6 @@ UNSEEDED = np.random.default_rng(0)
         (simulated_by(Numb), Finding("given model: door", "fail", "in 4 of 4 failures nothing is run into")),
         (replace(GOOD, free=None), Finding("simulator", "warn", "no free is declared")),
     ],
-    ids=str,
 )
 def test_each_breach_is_named(domain: Domain, finding: Finding) -> None:
     found = next(f for f in examine(domain, WORLDS) if f.status != "ok")
