@@ -21,7 +21,7 @@ from resync_robot.core.skill import Ending, Outcome, Skill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
-from resync_robot.core.world import Cutout, Observation, Ready
+from resync_robot.core.world import ArmObservation, Cutout, Ready
 from resync_robot.learning.camera_view import (
     DONE_IN_A_ROW,
     LEAN,
@@ -110,7 +110,7 @@ class Stopped(Exception):
 
 def _recover(
     objects: tuple[Object, ...],
-    first: Observation,
+    first: ArmObservation,
     rig: Rig,
     policy: CameraPolicy,
     s: RecoverySkillSettings,
@@ -149,7 +149,7 @@ def _drive(
     thread: ThreadPoolExecutor,
     s: RecoverySkillSettings,
     m: MonitorSettings,
-) -> Generator[JointTarget, Observation, bool]:
+) -> Generator[JointTarget, ArmObservation, bool]:
     """Steps until the policy says that it is done. Returns whether it did. Raises Stopped."""
     watch, scanned = Watch(m, rig), Scanned.of(hand.last.state, *objects[1:])
     chunks, thinking = Chunks(), _Thinking(policy, thread)
@@ -285,7 +285,7 @@ def _observe(
     return np.stack(pictures), state_seen(seen.arm, tip, goal, hand.yaw, scanned)
 
 
-def _check_order(seen: Observation, rig: Rig, hues: Mapping[str, float]) -> None:
+def _check_order(seen: ArmObservation, rig: Rig, hues: Mapping[str, float]) -> None:
     """Raises Stopped where the pictures of some cameras are explained by the places of others."""
     if seen.look is None:
         raise Stopped("there is no camera to look through")

@@ -13,10 +13,10 @@ from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Ending, Outcome
-from resync_robot.core.world import Observation
+from resync_robot.core.world import ArmObservation
 
-Motion = Generator[JointTarget, Observation, Outcome]
-Step = Generator[JointTarget, Observation, None]
+Motion = Generator[JointTarget, ArmObservation, Outcome]
+Step = Generator[JointTarget, ArmObservation, None]
 
 YAW_SPEED = 1.2
 """rad/s of the hand about the vertical."""
@@ -39,7 +39,7 @@ class GeneratorPolicy:
     motion: Motion
     _waiting: JointTarget | Outcome | None = field(default=None)
 
-    def step(self, observation: Observation) -> JointTarget | Outcome:
+    def step(self, observation: ArmObservation) -> JointTarget | Outcome:
         if self._waiting is not None:
             first, self._waiting = self._waiting, None
             return first
@@ -51,7 +51,7 @@ class GeneratorPolicy:
             return Outcome(Ending.UNREACHABLE, error.what)
 
 
-def run_motion(motion: Motion, first: Observation) -> GeneratorPolicy:
+def run_motion(motion: Motion, first: ArmObservation) -> GeneratorPolicy:
     """A policy whose motion was created with the observation `first`."""
     try:
         return GeneratorPolicy(motion, next(motion))
@@ -69,7 +69,7 @@ class Hand:
         stray: m between where the tip is and where it was sent, at which a motion counts as blocked.
     """
 
-    def __init__(self, rig: Rig, first: Observation, period: float, stray: float) -> None:
+    def __init__(self, rig: Rig, first: ArmObservation, period: float, stray: float) -> None:
         self.rig, self.period, self.stray = rig, period, stray
         self.last = first
         self._base_T_world = spatial.inverse(rig.arm.world_T_base)

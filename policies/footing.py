@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from resync_robot.core.joints import JointTarget
-from resync_robot.core.world import Observation
+from resync_robot.core.world import ArmObservation
 from resync_robot.learning.recovery_policy import STUD
 from resync_robot.policies.cartesian import GIVE_IN_STEP, Hand
 
@@ -67,7 +67,7 @@ class Footing:
 
 def press_on(
     hand: Hand, goal: Float[np.ndarray, "3"], steps: int, footing: Footing
-) -> Generator[JointTarget, Observation, bool]:
+) -> Generator[JointTarget, ArmObservation, bool]:
     """Send the tip to `goal` in so many control steps; straight up where it goes up from what it presses on, and where
     that gives way.
 

@@ -17,7 +17,7 @@ from resync_robot.core.skill import Ending, Outcome, Skill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
-from resync_robot.core.world import Observation
+from resync_robot.core.world import ArmObservation
 from resync_robot.learning.recovery_policy import STUD, ActorCritic, commanded_tip, observe, project
 from resync_robot.learning.terminals import Terminal
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
@@ -73,7 +73,7 @@ def skill_from(
 
 def _recover(
     objects: tuple[Object, ...],
-    first: Observation,
+    first: ArmObservation,
     rig: Rig,
     act: Callable[[Tensor], Tensor],
     done: Callable[[Tensor], Tensor],
@@ -112,7 +112,7 @@ def approach(
     above: float,
     s: RecoverySkillSettings,
     aside: tuple[float, float] = (0.0, 0.0),
-) -> Generator[JointTarget, Observation, Outcome | None]:
+) -> Generator[JointTarget, ArmObservation, Outcome | None]:
     """Close the fingers and bring them over the block, square to the box at the smallest turn, as in training.
 
     Args:

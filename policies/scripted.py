@@ -16,7 +16,7 @@ from resync_robot.core.spatial import inverse, pose_from_features, wrap, yaw_of
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, ROBOT
-from resync_robot.core.world import Observation
+from resync_robot.core.world import ArmObservation
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
 from resync_robot.policies.grasp import best_approach, best_yaw, carried_with, travel_height
 from resync_robot.policies.placing import Places, free_places
@@ -77,7 +77,7 @@ def scripted_skills(rig: Rig, settings: ScriptedSettings | None = None) -> tuple
     )
 
 
-def _pick(objects: tuple[Object, ...], first: Observation, rig: Rig, s: ScriptedSettings) -> Motion:
+def _pick(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: ScriptedSettings) -> Motion:
     _, block = objects
     state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
@@ -107,7 +107,7 @@ def _pick(objects: tuple[Object, ...], first: Observation, rig: Rig, s: Scripted
     return Outcome(Ending.DONE)
 
 
-def _insert(objects: tuple[Object, ...], first: Observation, rig: Rig, s: ScriptedSettings) -> Motion:
+def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: ScriptedSettings) -> Motion:
     robot, held, base = objects
     state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
@@ -151,7 +151,7 @@ def _insert(objects: tuple[Object, ...], first: Observation, rig: Rig, s: Script
     return Outcome(Ending.DONE)
 
 
-def _place(objects: tuple[Object, ...], first: Observation, rig: Rig, s: ScriptedSettings) -> Motion:
+def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: ScriptedSettings) -> Motion:
     robot, held = objects
     state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)

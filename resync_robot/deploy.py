@@ -62,7 +62,7 @@ def deploy(config: DeployConfig) -> int:
     library = load_library(config.library or shipped_library(domain.name))
     by_camera = deployed_by_camera(config, domain, rig, library)
     segmenter = _segmenter(config, rig)
-    model = learned_model(domain, rig, library, camera_recovery(domain, rig, library) if by_camera else None)
+    model = learned_model(domain, rig, library, [camera_recovery(domain, rig, library)] if by_camera else [])
     if recording is None:
         tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
     else:

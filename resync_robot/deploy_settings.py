@@ -20,7 +20,8 @@ class DeployConfig:
     """Library folder that train-sim wrote. Default: the shipped one."""
 
     domain: str = "cornered-insertion-s"
-    """The domain whose objects and skills are used."""
+    """The domain whose objects and skills are used: a name, a file (path.py or path.py:NAME), or
+    package.module:NAME."""
 
     replay: Given[Path] = None
     """The recording that --backend replay runs over: the same executive, told what was measured and seen then.

@@ -111,7 +111,7 @@ def run_episode(
     from resync_robot.doubt import doubting
     from resync_robot.hardware.answers import Departure, RecordingOverError
     from resync_robot.hardware.base import Halt, RealtimeRobot, RobotError
-    from resync_robot.planning.execute import End, ExecuteSettings, Result, begin_after, plan_f
+    from resync_robot.planning.execute import End, ExecuteSettings, Result, begin_after, plan_and_execute
     from resync_robot.progress import say
     from resync_robot.recorder import Recorder
     from resync_robot.replayed_episode import ReplayRecorder, judge, settings_of
@@ -187,7 +187,7 @@ def run_episode(
                 steps = [f"{name}({', '.join(of)})" for name, of in before]
                 if not config.dry_run and all(not config.confirm or _may_run(step) for step in steps):
                     begin_after(world, model, before, task.objects, recorder)
-                result = plan_f(world, model, task.goal, ExecuteSettings(plan_only=config.dry_run), recorder)
+                result = plan_and_execute(world, model, task.goal, ExecuteSettings(plan_only=config.dry_run), recorder)
                 # What the robot believes at the end does not count where the truth can be had.
                 reached = result.success and (
                     devices.truth is None or task.goal <= model.abstraction.true_atoms(devices.truth())

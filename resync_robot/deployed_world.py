@@ -20,7 +20,7 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Object
 from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID, ROBOT
-from resync_robot.core.world import CameraFrame, Cutout, Observation, Ready, Window, awaited
+from resync_robot.core.world import ArmObservation, CameraFrame, Cutout, Ready, Window, awaited
 from resync_robot.doubt import DoubtingAbstraction, objects_in
 from resync_robot.hardware.base import Camera, Motions, ProtectiveStopError, Robot, RobotState, WindowedCamera
 from resync_robot.hardware.clearance import Obstacle
@@ -125,7 +125,7 @@ class DeployedWorld:
         self._base_T_world = spatial.inverse(rig.arm.world_T_base)
         self._tip_T_flange = spatial.inverse(rig.gripper.flange_T_tip)
 
-    def observe(self, live: bool = False) -> Observation:
+    def observe(self, live: bool = False) -> ArmObservation:
         measured = self._measure()
         features = self.rig.robot_features(measured.q, measured.opening)
         if live:
@@ -137,14 +137,14 @@ class DeployedWorld:
             state = self._live(self._live_state)
         else:
             state = self.belief.state(features)
-        return Observation(
-            measured.time,
-            measured.q,
-            measured.qd,
-            measured.opening,
-            self.stream.target.opening,
-            measured.tip_force,
-            state,
+        return ArmObservation(
+            time=measured.time,
+            state=state,
+            arm=measured.q,
+            arm_velocity=measured.qd,
+            opening=measured.opening,
+            told_opening=self.stream.target.opening,
+            tip_force=measured.tip_force,
             look=self._look,
             ready=self._thought_out,
         )
@@ -321,7 +321,7 @@ class OracleWorld(DeployedWorld):
         self._measure()
         return self._live(self._live_state)
 
-    def observe(self, live: bool = False) -> Observation:
+    def observe(self, live: bool = False) -> ArmObservation:
         return super().observe(live=True)
 
 

@@ -206,7 +206,7 @@ def distil(
     shares = _Shares(plan, progress)
     shards: list[Path] = []
     check_folder_kind(folder.stages / "demonstrations")
-    with_student = partial(make_context, domain.name, folder.rig, record, gaussians)
+    with_student = partial(make_context, domain.spec, folder.rig, record, gaussians)
     for turn in range(plan.rounds + 1):
         student = None if turn == 0 else _candidate(folder, shares.until[turn - 1])
         context = partial(with_student, student, plan.blind)

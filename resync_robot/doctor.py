@@ -12,10 +12,10 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import Literal
 
 from resync_robot.core.errors import ResyncError
 from resync_robot.core.files import read_text
+from resync_robot.core.findings import Finding
 from resync_robot.given import Given
 
 PROBE_LIMIT_S = 60.0
@@ -29,23 +29,6 @@ ONE_OPENCV = (
 )
 """Taking one of two out takes files of the other with it, so that one is laid down again."""
 TRAIN = "resync-robot train-sim --domain cornered-insertion-s --preset quick"
-
-Status = Literal["ok", "warn", "fail"]
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at.
-
-    Attributes:
-        status: `fail` where something essential cannot work, `warn` where it can but something is off.
-        fix: the command that mends it; empty where nothing has to be mended.
-    """
-
-    name: str
-    status: Status
-    detail: str
-    fix: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +44,14 @@ class DoctorConfig:
 
 def doctor(config: DoctorConfig) -> int:
     """Print what was found; the exit code is 2 where something essential fails, else 0."""
+    from resync_robot.progress import show_findings
+
     findings = list(examine(config.rig))
     healthy = not any(f.status == "fail" for f in findings)
     if config.json:
         sys.stdout.write(json.dumps({"healthy": healthy, "findings": [asdict(f) for f in findings]}, indent=2) + "\n")
     else:
-        _show(findings)
+        show_findings(findings)
     return 0 if healthy else 2
 
 
@@ -233,18 +218,6 @@ def run_probe(command: list[str], limit_s: float = PROBE_LIMIT_S) -> subprocess.
         )
     except subprocess.TimeoutExpired:
         return subprocess.CompletedProcess(command, 124, "", f"no answer within {limit_s:.0f} s")
-
-
-def _show(findings: list[Finding]) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-
-    console = Console(highlight=False, soft_wrap=True)
-    colour = {"ok": "green", "warn": "yellow", "fail": "red"}
-    for f in findings:
-        console.print(f"[{colour[f.status]}]{f.status:<4}[/] {f.name:<9} {escape(f.detail)}")
-        if f.fix:
-            console.print(f"               -> {escape(f.fix)}")
 
 
 def _normal(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Atoms with doubt: whether a predicate holds everywhere that the poses may be, and what to do where it does not.
+"""Atoms with doubt: in what share of all that the poses may be a predicate holds.
 
 A classifier's own probability says how the concept blurs; what is asked here is another thing, how much of the answer
 hangs on poses that are not known better. Another look helps with the second only.
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atom, Atoms, Object
+from resync_robot.core.symbols import SE3, Atom, Atoms, Object
 from resync_robot.planning.abstract import HOLDS, Abstraction
 from resync_robot.planning.execute import Model
 
@@ -31,9 +31,7 @@ class DoubtSettings:
 class DoubtingAbstraction(Abstraction):
     """Grounds predicates over samples of the poses that a state's covariance allows.
 
-    An atom that some samples affirm and others deny counts as false, and so does its negation: nothing is built on
-    what is not known, unless there is no other way (`likely_atoms`). States without a covariance, such as those of a
-    simulator, are judged as they are.
+    States without a covariance, such as those of a simulator, are judged as they are.
 
     Args:
         given: whose predicates and classifiers to use.
@@ -45,16 +43,21 @@ class DoubtingAbstraction(Abstraction):
         self._settings = settings or DoubtSettings()
         self._last: tuple[State, dict[Atom, float]] | None = None
 
-    def abstract(self, state: State) -> dict[Atom, float]:
-        """Every ground atom with the share of samples in which it holds; of those in doubt at most `HOLDS`."""
-        open_atoms = self.doubtful(state)
-        return {a: min(p, HOLDS) if a in open_atoms else p for a, p in self.shares(state).items()}
+    def shares(self, state: State) -> dict[Atom, float]:
+        """Every ground atom with the share of samples in which it holds."""
+        if not _is_estimated(state):
+            return super().shares(state)
+        if self._last is None or self._last[0] is not state:
+            held: Counter[Atom] = Counter()
+            for judged in self.abstract_each(samples(state, self._settings.samples)):
+                held.update({a: int(p > HOLDS) for a, p in judged.items()})
+            self._last = state, {a: n / self._settings.samples for a, n in held.items()}
+        return self._last[1]
 
-    def likely_atoms(self, state: State) -> Atoms:
-        """The atoms that hold in most samples, or by the mean where those are split evenly; derived ones follow."""
-        at_mean = super().abstract(state)
-        held = {a for a, p in self.shares(state).items() if p > HOLDS or (p == HOLDS < at_mean[a])}
-        return self.derive(frozenset(held), state.objects)
+    def true_atoms(self, state: State) -> Atoms:
+        """The atoms that surely hold: neither one in doubt nor its negation is among them."""
+        open_atoms = self.doubtful(state)
+        return frozenset(a for a, p in self.shares(state).items() if p > HOLDS and a not in open_atoms)
 
     def doubtful(self, state: State) -> dict[Atom, float]:
         """The atoms that are neither surely true nor surely false, with the share of samples in which each holds."""
@@ -62,18 +65,6 @@ class DoubtingAbstraction(Abstraction):
             return {}
         s = self._settings
         return {a: p for a, p in self.shares(state).items() if s.low < p < s.high}
-
-    def shares(self, state: State) -> dict[Atom, float]:
-        """Every ground atom with the share of samples in which it holds; its plain probability where nothing was
-        estimated."""
-        if not _is_estimated(state):
-            return super().abstract(state)
-        if self._last is None or self._last[0] is not state:
-            held: Counter[Atom] = Counter()
-            for judged in self.abstract_each(samples(state, self._settings.samples)):
-                held.update({a: int(p > HOLDS) for a, p in judged.items()})
-            self._last = state, {a: n / self._settings.samples for a, n in held.items()}
-        return self._last[1]
 
 
 @dataclass(frozen=True)
@@ -86,7 +77,7 @@ class DoubtingModel(Model):
 def doubting(model: Model) -> DoubtingModel:
     """The same model, for states that are estimated."""
     return DoubtingModel(
-        model.skills, DoubtingAbstraction(model.abstraction), model.operators, model.affordances, model.risk
+        model.skills, DoubtingAbstraction(model.abstraction), model.operators, model.learned, model.costs
     )
 
 
@@ -107,10 +98,8 @@ def samples(state: State, count: int) -> list[State]:
         normal = np.random.default_rng([*obj.name.encode(), 17]).standard_normal((count, len(values)))
         # The symmetric root: the axes of equal values, and the signs of all, are the eigensolver's whim.
         features = state[obj] + normal @ ((axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T)
-        names = obj.type.features
-        if "qw" in names:
-            quaternion = slice(names.index("qw"), names.index("qw") + 4)
-            features[:, quaternion] /= np.linalg.norm(features[:, quaternion], axis=1, keepdims=True)
+        if obj.type.pose == SE3:
+            features[:, 3:7] /= np.linalg.norm(features[:, 3:7], axis=1, keepdims=True)
         for one, row in zip(drawn, features, strict=True):
             one[obj] = row
     return [State(one) for one in drawn]

@@ -38,7 +38,7 @@ class EvaluateConfig:
     """Measure success rates in simulated worlds that no training has seen."""
 
     domain: str = "cornered-insertion-s"
-    """The domain to evaluate in."""
+    """The domain to evaluate in: a name, a file (path.py or path.py:NAME), or package.module:NAME."""
 
     library: Several[Path] = ()
     """Library folders, one for each training seed. Default: the shipped one."""
@@ -197,7 +197,7 @@ def evaluate(config: EvaluateConfig) -> None:
         parse=_parse,
     )
     drawn = (config.worlds, physics == "reference")
-    context = partial(_context, config.domain, tuple(map(str, paths)), perception, skills, *drawn, rig)
+    context = partial(_context, domain.spec, tuple(map(str, paths)), perception, skills, *drawn, rig)
     # Written before the table, so that it is kept where nobody reads that.
     with file.open(config.resume), _naming_the_way_without_pictures():
         if note:
@@ -273,7 +273,7 @@ def _context(
     from resync_robot.core.library import load_library
     from resync_robot.doubt import doubting
     from resync_robot.knowledge import camera_recovery, initial_model, learned_model, model_with_recovery
-    from resync_robot.planning.execute import plan_f
+    from resync_robot.planning.execute import plan_and_execute
     from resync_robot.sim_training.domains import find_domain
     from resync_robot.sim_training.solver import REFERENCE, SHIPPED
 
@@ -284,15 +284,16 @@ def _context(
         library = load_library(Path(path))
         # First, for it says what a library lacks.
         recovery = camera_recovery(domain, rig, library) if skills == "camera" else None
-        learned = doubting(learned_model(domain, rig, library, recovery))
-        methods[i, "resync"] = learned.abstraction, partial(plan_f, model=learned)
+        learned = doubting(learned_model(domain, rig, library, [recovery] if recovery else []))
+        methods[i, "resync"] = learned.abstraction, partial(plan_and_execute, model=learned)
         record = library.skills[domain.recovery]
         with_skill = doubting(model_with_recovery(domain, rig, record, recovery))
         reaction = RecoveryChaining(with_skill.skill(domain.recovery), record)
         given = initial.abstraction
-        methods[i, "rc"] = given, partial(plan_f, model=with_skill, reaction=reaction)
-        methods[i, "initial"] = given, partial(plan_f, model=initial)
-        methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
+        methods[i, "rc"] = given, partial(plan_and_execute, model=with_skill, reaction=reaction)
+        methods[i, "initial"] = given, partial(plan_and_execute, model=initial)
+        if domain.expert is not None:
+            methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
     solver = REFERENCE if reference else SHIPPED
     return _Context(domain, rig, perception, worlds, solver, initial, methods)
 

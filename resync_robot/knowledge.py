@@ -1,25 +1,24 @@
-"""Models for Plan_f: the given one, the given one with a recovery skill, and the one that a library holds."""
+"""Models to plan with: the given one, the given one with a recovery skill, and the one that a library holds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from resync_robot.core.errors import LibraryError
-from resync_robot.core.library import RETRAIN, Library, Record
+from resync_robot.core.library import RETRAIN, LearnedStage, Library, Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Skill
 from resync_robot.core.symbols import Operator, Predicate, Type
 from resync_robot.core.task import Domain
-from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.model import Concepts, load_concepts
-from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import Affordance, Model
+from resync_robot.planning.abstract import Abstraction, Classifier, Form
+from resync_robot.planning.execute import Model
+from resync_robot.planning.outcome_costs import OutcomeCosts, Tally
 from resync_robot.planning.pddl import domain_to_pddl
-from resync_robot.planning.risk import Risk, Tally
 
 
 def shipped_library(domain: str) -> Path:
@@ -31,8 +30,22 @@ def initial_model(domain: Domain, rig: Rig) -> Model:
     """What the robot knows before it has failed (C_0, Psi_0, Op_0)."""
     from resync_robot.policies.scripted import scripted_skills
 
-    skills = {s.name: s for s in scripted_skills(rig)}
+    given = scripted_skills(rig) if domain.embodiment is None else domain.embodiment.skills()
+    skills = {s.name: s for s in given}
     return Model(skills, Abstraction(domain.predicates, domain.classifiers), domain.operators)
+
+
+def known_concepts(domain: Domain, library: Library) -> Concepts:
+    """The symbols that a library holds, and what they rely on: what the next stage is learned on top of.
+
+    Raises:
+        LibraryError: it was learned in another domain, or does not fit this one.
+    """
+    if library.domain != domain.name:
+        raise LibraryError(f"the library was learned in '{library.domain}', not in '{domain.name}'", RETRAIN)
+    if library.types_hash not in ("", domain.types_hash):
+        raise LibraryError(f"the types of '{domain.name}' are not those any more that the library knows", RETRAIN)
+    return load_concepts(library.domain_pddl, library.predicates, domain)
 
 
 def model_with_recovery(domain: Domain, rig: Rig, record: Record, skill: Skill | None = None) -> Model:
@@ -73,38 +86,52 @@ def camera_recovery(domain: Domain, rig: Rig, library: Library) -> Skill:
     return camera_recovery_skill(domain.recovery, student, rig, hues=catalogue_of(rig).hues)
 
 
-def learned_model(domain: Domain, rig: Rig, library: Library, recovery: Skill | None = None) -> Model:
+def learned_model(domain: Domain, rig: Rig, library: Library, recoveries: Sequence[Skill] = ()) -> Model:
     """Everything a library holds. Raises LibraryError where it does not fit the domain.
 
     Args:
-        recovery: in place of the recovery that follows the simulator's state.
+        recoveries: in place of those of the same names that follow the simulator's state.
     """
-    if library.domain != domain.name:
-        raise LibraryError(f"the library was learned in '{library.domain}', not in '{domain.name}'", RETRAIN)
-    if domain.recovery not in library.skills:
-        raise LibraryError(f"the library holds no skill '{domain.recovery}'", RETRAIN)
-    known = {p.name: domain.classifiers[p.name] for p in domain.predicates}
-    types = {t.name: t for t in domain.types}
-    predicates, classifiers, operators = load_concepts(library.domain_pddl, library.predicates, types, known)
-    # What the domain was given since the library was learned, a predicate or a skill with its operator, comes with it.
-    predicates += tuple(p for p in domain.predicates if p.name not in {q.name for q in predicates})
-    operators += tuple(o for o in domain.operators if o.name not in {q.name for q in operators})
-    skills = dict(model_with_recovery(domain, rig, library.skills[domain.recovery], recovery).skills)
+    from resync_robot.policies.neural import recovery_skill
+
+    concepts = known_concepts(domain, library)
+    if not library.stages:
+        raise LibraryError("the library holds no stage, and so no recovery", RETRAIN)
+    missing = [s.recovery for s in library.stages if s.recovery not in library.skills]
+    if missing:
+        raise LibraryError(f"the library holds no skill '{missing[0]}'", RETRAIN)
+    skills = dict(initial_model(domain, rig).skills)
+    for stage in library.stages:
+        skills[stage.recovery] = recovery_skill(stage.recovery, library.skills[stage.recovery], rig)
+    skills |= {skill.name: skill for skill in recoveries}
+    predicates, operators = concepts.predicates, concepts.operators
     try:
-        affordances = {
-            skill: Affordance(str(entry["predicate"]), int(entry["argument"]))
-            for skill, entry in library.execution.get("affordances", {}).items()
-        }
         for variant, base in library.execution.get("variants", {}).items():
             operator = next(o for o in operators if o.name == variant)
             skills[variant] = _variant(variant, skills[base], tuple(v.type for v in operator.parameters))
-        risk = _risk(library.execution.get("experience", {}), predicates, operators)
+        costs = _costs(library.execution.get("experience", {}), predicates, operators)
     except (AttributeError, IndexError, KeyError, StopIteration, TypeError, ValueError) as error:
         raise LibraryError(f"execution.json does not fit domain.pddl: {error!r}", RETRAIN) from error
-    return Model(skills, Abstraction(predicates, classifiers), operators, affordances, risk)
+    learned = [p.name for p in predicates if _base(p.name, concepts.classifiers) not in domain.classifiers]
+    errors = {name: _error(name, concepts.classifiers, library) for name in learned}
+    return Model(skills, Abstraction(predicates, concepts.classifiers), operators, errors, costs)
 
 
-def _risk(experience: Mapping[str, Any], predicates: tuple[Predicate, ...], operators: tuple[Operator, ...]) -> Risk:
+def _base(predicate: str, classifiers: Mapping[str, Classifier | Form]) -> str:
+    """The predicate that this one is derived from in the end, or itself."""
+    form = classifiers[predicate]
+    return _base(form.base.name, classifiers) if isinstance(form, Form) else predicate
+
+
+def _error(predicate: str, classifiers: Mapping[str, Classifier | Form], library: Library) -> float | None:
+    """The share of held-out cases in which the classifier of a learned predicate was wrong, where that is known."""
+    accuracy = library.predicates[_base(predicate, classifiers)].meta.get("accuracy")
+    return 1.0 - accuracy if isinstance(accuracy, int | float) and 0.0 <= accuracy <= 1.0 else None
+
+
+def _costs(
+    experience: Mapping[str, Any], predicates: tuple[Predicate, ...], operators: tuple[Operator, ...]
+) -> OutcomeCosts:
     by_name, signatures = {p.name: p for p in predicates}, {o.name: o.parameters for o in operators}
     tallies: dict[str, list[Tally]] = {skill: [] for skill in experience}
     for skill, entries in experience.items():
@@ -116,37 +143,43 @@ def _risk(experience: Mapping[str, Any], predicates: tuple[Predicate, ...], oper
             if not (0 <= held[0] <= held[1] and 0 <= otherwise[0] <= otherwise[1]):
                 raise ValueError(f"{skill} succeeded more often than it was tried")
             tallies[skill].append(Tally(predicate, argument, held, otherwise))
-    return Risk(tallies)
+    return OutcomeCosts(tallies)
 
 
 def make_library(
     domain: Domain,
     rig: Rig,
+    stage: LearnedStage,
     recovery: Record,
-    gaussians: Mapping[str, PairGaussian],
     concepts: Concepts,
     provenance: Mapping[str, Any],
     policy: Mapping[str, bytes] | None = None,
+    known: Library | None = None,
 ) -> Library:
-    """What a training run saves; `learned_model` is the way back.
+    """What a stage of training saves, with all that was known before it; `learned_model` is the way back.
 
     Args:
+        stage, recovery: what it learned to do, and the record of that skill.
+        concepts: the whole model: that of earlier stages, and what this one added.
         policy: the files of the recovery's camera policy.
+        known: the library of the stages before.
     """
+    name = stage.recovery
     return Library(
         domain=domain.name,
         rig_hash=rig.hash,
         domain_pddl=domain_to_pddl(domain.name, domain.types, concepts.predicates, concepts.operators),
         predicates=concepts.records,
-        skills={domain.recovery: recovery},
-        gaussians={name: g.to_json() for name, g in gaussians.items()},
+        skills={**(known.skills if known else {}), name: recovery},
+        stages=(*(known.stages if known else ()), stage),
         provenance=provenance,
         execution={
-            "affordances": concepts.report.get("affordance_of", {}),
+            "affordances": concepts.report.get("affordances_of", {}),
             "variants": concepts.report.get("variants", {}),
             "experience": concepts.report.get("experience", {}),
         },
-        policies={domain.recovery: policy} if policy else {},
+        policies={**(known.policies if known else {}), **({name: policy} if policy else {})},
+        types_hash=domain.types_hash,
     )
 
 

@@ -54,6 +54,7 @@ def with_card(library: Library, domain: Domain) -> Library:
 def card_text(library: Library, domain: Domain, files: Mapping[str, bytes]) -> str:
     """What a stranger should know before they use the policy, as Markdown."""
     config = _config(files)
+    figures = next((s.figures for s in library.stages if s.recovery == domain.recovery), {}).get("distil", {})
     sections = [
         f"# {domain.recovery} by camera, {domain.name}",
         f"*{domain.instruction}* A diffusion policy that LeRobot runs, trained in simulation alone by "
@@ -61,8 +62,8 @@ def card_text(library: Library, domain: Domain, files: Mapping[str, bytes]) -> s
         "three pictures, the joints, and what a scan of the scene has measured.",
         _inputs(config),
         _loading(config, domain.recovery),
-        _training(library.provenance),
-        _trials(library.provenance),
+        _training(library.provenance, figures),
+        _trials(figures),
         LIMITS,
     ]
     return FRONT_MATTER + "\n" + "\n\n".join(s for s in sections if s) + "\n"
@@ -121,7 +122,7 @@ def _loading(config: Mapping[str, Any], name: str) -> str:
     return words
 
 
-def _training(provenance: Mapping[str, Any]) -> str:
+def _training(provenance: Mapping[str, Any], figures: Mapping[str, Any]) -> str:
     known = [
         f"{title} {provenance[key]}"
         for key, title in (("preset", "preset"), ("seed", "seed"), ("version", "resync-robot"), ("git", "commit"))
@@ -129,7 +130,6 @@ def _training(provenance: Mapping[str, Any]) -> str:
     ]
     packages = provenance.get("packages", {})
     known += [f"{name} {packages[name]}" for name in ("lerobot", "torch", "sapien") if name in packages]
-    figures = provenance.get("figures", {}).get("distil", {})
     if "frames" in figures:
         known.append(f"{figures['frames']} frames of {figures['segments']} demonstrations")
     words = (
@@ -140,8 +140,7 @@ def _training(provenance: Mapping[str, Any]) -> str:
     return f"{words}\n\nMade with: {', '.join(known)}." if known else words
 
 
-def _trials(provenance: Mapping[str, Any]) -> str:
-    figures = provenance.get("figures", {}).get("distil", {})
+def _trials(figures: Mapping[str, Any]) -> str:
     try:
         check_shape(figures, {"points": [{"step": int, "worlds": int, "success": int}], "chosen": int})
     except ValueError:

@@ -7,7 +7,10 @@ from contextlib import contextmanager
 from types import TracebackType
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from resync_robot.core.findings import Finding
 
 _console = Console(stderr=True, highlight=False)
 
@@ -15,6 +18,16 @@ _console = Console(stderr=True, highlight=False)
 def say(text: str) -> None:
     """A line of a report, on standard output."""
     Console(highlight=False, soft_wrap=True, markup=False).print(text)
+
+
+def show_findings(findings: Sequence[Finding], width: int = 9) -> None:
+    """A line of each, on standard output, its name in so many letters, and below it what mends it."""
+    console = Console(highlight=False, soft_wrap=True)
+    colour = {"ok": "green", "warn": "yellow", "fail": "red"}
+    for f in findings:
+        console.print(f"[{colour[f.status]}]{f.status:<4}[/] {escape(f.name):<{width}} {escape(f.detail)}")
+        if f.fix:
+            console.print(f"{'':{width + 6}}-> {escape(f.fix)}")
 
 
 class Stages:

@@ -1,4 +1,4 @@
-"""Writes what happens in an episode of Plan_f into its recording."""
+"""Writes what happens in an episode of `plan_and_execute` into its recording."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ import numpy as np
 from resync_robot.core.episode import Answer, EventKind, Timing
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ResyncError
-from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import GroundSkill, Outcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, GroundOperator
-from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Observation
+from resync_robot.core.world import CameraFrame, Cutout, Glimpse
 from resync_robot.hardware.base import Command, Halt, RobotState
 from resync_robot.planning.execute import End, Listener
 from resync_robot.planning.search import Plan
@@ -134,7 +133,7 @@ class Recorder(Listener):
         words = ", ".join(f"{atom} {share:.2f}" for atom, share in sorted(atoms.items()))
         details = {str(atom): share for atom, share in atoms.items()}
         self._writer.event(self._clock(), EventKind.DOUBT, f"after {looks} looks: {words}", shares=details)
-        self._tell(f"  in doubt after {looks} looks, and taken for false: {words}")
+        self._tell(f"  in doubt after {looks} looks, and not counted on: {words}")
 
     def on_unsettled(self, names: Sequence[str], words: str) -> None:
         """Objects that are not, or not well, where the belief has them."""
@@ -161,9 +160,6 @@ class Recorder(Listener):
 
     def on_skill_start(self, skill: GroundSkill) -> None:
         self._writer.event(self._clock(), EventKind.SKILL_START, str(skill))
-
-    def on_control(self, observation: Observation, target: JointTarget) -> None:
-        pass
 
     def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
         self.skills += 1

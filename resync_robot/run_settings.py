@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, get_args, get_type_hints
 
-from resync_robot.core.errors import ConfigError
+from resync_robot.core.errors import ConfigError, ResyncError
 from resync_robot.run_folder import read_json
 
 CONFIG = "config.json"
@@ -28,12 +28,14 @@ class RunSettings:
 SHAPING = tuple(f.name for f in fields(RunSettings))
 
 
-def read_settings(path: Path, given: Mapping[str, Any], domains: tuple[str, ...]) -> tuple[RunSettings, str | None]:
+def read_settings(
+    path: Path, given: Mapping[str, Any], find_domain: Callable[[str], object]
+) -> tuple[RunSettings, str | None]:
     """The settings that the run in the folder `path` began with, and the hash of its rig where one was kept.
 
     Args:
         given: settings of this command, by name: they must be those of the run.
-        domains: names of those that exist.
+        find_domain: raises ResyncError where a domain cannot be used.
 
     Raises:
         ConfigError: the file is missing or damaged, a value in it is not allowed, or one that was given differs.
@@ -53,8 +55,13 @@ def read_settings(path: Path, given: Mapping[str, Any], domains: tuple[str, ...]
     for name in SHAPING:
         if name not in saved:
             raise ConfigError(f"{file} is not the config of a run: it has no '{name}'", lost)
-        value, allowed = saved[name], domains if name == "domain" else get_args(kinds[name])
-        if name == "seed":
+        value, allowed = saved[name], get_args(kinds[name])
+        if name == "domain":
+            try:
+                find_domain(str(value))
+            except ResyncError as error:
+                raise ConfigError(f"{file}: 'domain' is {value!r}: {error.what}", error.fix or lost) from None
+        elif name == "seed":
             if not isinstance(value, int) or isinstance(value, bool) or value < 0:
                 raise ConfigError(f"{file}: 'seed' is {value!r}; allowed: whole numbers from 0 on", lost)
         elif value not in allowed:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from resync_robot.core.errors import ConfigError
+from resync_robot.core.errors import ConfigError, LibraryError
 from resync_robot.core.library import Library
 from resync_robot.core.task import Domain
 from resync_robot.knowledge import sees_by_camera
@@ -19,13 +19,13 @@ LEAST_RECOVERED = 0.5
 """Share of its trials in which a camera policy has to recover to be used without being asked for."""
 
 
-def camera_trials(library: Library) -> tuple[int, int] | None:
+def camera_trials(domain: Domain, library: Library) -> tuple[int, int] | None:
     """(recovered, worlds) of the trials by which the camera policy was kept; None where the library does not say."""
     try:
-        figures = library.provenance["figures"]["distil"]
+        figures = library.stage(domain.recovery).figures["distil"]
         kept = next(point for point in figures["points"] if point["step"] == figures["chosen"])
         return int(kept["success"]), int(kept["worlds"])
-    except (KeyError, TypeError, ValueError, StopIteration):
+    except (KeyError, LibraryError, TypeError, ValueError, StopIteration):
         return None
 
 
@@ -33,7 +33,7 @@ def why_not_by_camera(domain: Domain, library: Library) -> str:
     """Why the recovery does not see by camera unless somebody asks for it, as a clause; empty where it does."""
     if not sees_by_camera(domain, library):
         return f"the library holds no camera policy for {domain.recovery}"
-    trials = camera_trials(library)
+    trials = camera_trials(domain, library)
     if trials is not None and trials[0] < LEAST_RECOVERED * trials[1]:
         return f"the library's camera policy recovered in only {trials[0]} of the {trials[1]} trials of its training"
     return ""

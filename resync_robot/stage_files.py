@@ -14,6 +14,7 @@ from safetensors.numpy import load_file
 from resync_robot.core.damage import Shape, check_shape, reading
 from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.library import Record
+from resync_robot.core.relations import between
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.core.vocabulary import TYPES
@@ -72,7 +73,8 @@ class Mined:
         }
 
     def tasks(self, domain: Domain) -> list[Task]:
-        return [resample_failure(domain, self.scenario, self.relevant, self.before, s) for s in self.seeds]
+        pair = self.relevant, self.culprit.failure_object
+        return [resample_failure(domain, self.scenario, *pair, self.before, s) for s in self.seeds]
 
 
 def read_mined(path: Path, domain: Domain) -> Mined | None:
@@ -92,23 +94,29 @@ def read_mined(path: Path, domain: Domain) -> Mined | None:
         culprit = Culprit(
             saved["skill"], TYPES[saved["failure_object_type"]](saved["failure_object"]), saved["relevant_argument"]
         )
+        relevant = TYPES[saved["relevant_type"]](saved["relevant"])
+        relation = between(relevant.type, culprit.failure_object.type, domain.relations)
         return Mined(
             culprit,
-            TYPES[saved["relevant_type"]](saved["relevant"]),
-            PairGaussian.from_json(saved["before"]),
+            relevant,
+            PairGaussian.from_json(saved["before"], len(relation.names)),
             tuple(saved["seeds"]),
             domain.scenario(saved["scenario"]).name,
         )
 
 
-def read_learned(meta: Path, weights: Path) -> tuple[Record, PairGaussian] | None:
-    """What `stages.learn_recovery` left; None where a file of it is missing. Raises TrainingError on a damaged one."""
+def read_learned(meta: Path, weights: Path, columns: int) -> tuple[Record, PairGaussian] | None:
+    """What `stages.learn_recovery` left; None where a file of it is missing. Raises TrainingError on a damaged one.
+
+    Args:
+        columns: of the relation between the relevant object and the failure object.
+    """
     with reading(meta):
         saved = read_json(meta)
         if saved is None and not meta.exists():
             return None
         check_shape(saved, LEARNED)
-        after = PairGaussian.from_json(saved["after"])
+        after = PairGaussian.from_json(saved["after"], columns)
     if not weights.exists():
         return None
     with reading(weights):

@@ -14,6 +14,7 @@ from safetensors.numpy import save_file
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.files import whole
 from resync_robot.core.library import Record
+from resync_robot.core.relations import Relation, between, seen
 from resync_robot.core.rig import Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
@@ -21,16 +22,17 @@ from resync_robot.core.trajectory import Trajectory, read_trajectories, write_tr
 from resync_robot.core.vocabulary import ROBOT, TYPES
 from resync_robot.knowledge import initial_model, model_with_recovery
 from resync_robot.learning import recovery_policy as view
-from resync_robot.learning.failures import PairGaussian, find_culprit, relative_pose
+from resync_robot.learning.failures import PairGaussian, find_culprit
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.terminals import train_terminal
 from resync_robot.planning.execute import Model, run_skill
 from resync_robot.run_folder import RunFolder, write_json
+from resync_robot.sim_training.block_recovery import RecoveryEnv, scaled_to_device, train_recovery
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.dream import DreamSpec, dream, dream_specs, useful
 from resync_robot.sim_training.mine import Attempt, attempt_task, is_at_rest, resample_failure
 from resync_robot.sim_training.parallel import parallel_map
-from resync_robot.sim_training.ppo import PpoSettings, RecoveryEnv, scaled_to_device, train_recovery
+from resync_robot.sim_training.ppo import PpoSettings
 from resync_robot.sim_training.recovery import RecoverySettings, draw_still, is_recovered
 from resync_robot.sim_training.solver import Solver, with_solver
 from resync_robot.sim_training.vector_env import RecoveryScenes
@@ -102,9 +104,8 @@ def _try(context: Context, job: tuple[str, int]) -> Attempt | None:
     return attempt_task(task, context.model, context.rig)
 
 
-def _retry(context: Context, job: tuple[str, Object, PairGaussian, int]) -> Attempt | None:
-    scenario, relevant, gaussian, seed = job
-    task = resample_failure(context.domain, scenario, relevant, gaussian, seed)
+def _retry(context: Context, job: tuple[str, Object, Object, PairGaussian, int]) -> Attempt | None:
+    task = resample_failure(context.domain, *job)
     return attempt_task(task, context.model, context.rig)
 
 
@@ -115,7 +116,7 @@ def mine(domain: Domain, folder: RunFolder, preset: Preset, seed: int, workers: 
     if mined is None or not attempts.exists() or not folder.has_figures("mine"):
         first = seed * TRAINING_SEEDS
         scenario = next(s.name for s in domain.scenarios.values() if s.training)
-        context = partial(make_context, domain.name, folder.rig, None)
+        context = partial(make_context, domain.spec, folder.rig, None)
         tried = [
             a for a in parallel_map(_try, [(scenario, first + i) for i in range(preset.tasks)], context, workers) if a
         ]
@@ -125,7 +126,9 @@ def mine(domain: Domain, folder: RunFolder, preset: Preset, seed: int, workers: 
         culprit = find_culprit(failures, frozenset(o for a in tried for o in a.task.objects if o.type == ROBOT))
         relevant = next(f.objects[culprit.relevant_argument] for f in failures if f.skill == culprit.skill)
         alike = [f for f in failures if f.skill == culprit.skill and relevant in f.objects]
-        before = PairGaussian.fit([relative_pose(f.state, relevant, culprit.failure_object) for f in alike])
+        pair = relevant, culprit.failure_object
+        relation = between(relevant.type, culprit.failure_object.type, domain.relations)
+        before = PairGaussian.fit([seen(f.state, *pair, domain.relations) for f in alike], relation.resolution)
         trajectories = [a.trajectory for a in tried]
         seeds: list[int] = []
         batch, drawn = 2 * workers * 4, 0
@@ -133,7 +136,7 @@ def mine(domain: Domain, folder: RunFolder, preset: Preset, seed: int, workers: 
             if drawn > 20 * preset.failures:
                 raise TrainingError(f"only {len(seeds)} of {drawn} resampled states fail like the first ones")
             jobs = [
-                (scenario, relevant, before, first + 1000 + drawn + i) for i in range(max(batch, preset.failures // 2))
+                (scenario, *pair, before, first + 1000 + drawn + i) for i in range(max(batch, preset.failures // 2))
             ]
             for job, attempt in zip(jobs, parallel_map(_retry, jobs, context, workers), strict=True):
                 drawn += 1
@@ -141,7 +144,7 @@ def mine(domain: Domain, folder: RunFolder, preset: Preset, seed: int, workers: 
                     continue
                 trajectories.append(attempt.trajectory)
                 if attempt.failure and attempt.failure.skill == culprit.skill and len(seeds) < preset.failures:
-                    seeds.append(job[3])
+                    seeds.append(job[-1])
                 progress(min(1.0, len(seeds) / preset.failures), f"{len(seeds)} failures in {drawn} worlds")
         write_trajectories(attempts, [_as_attempt(t) for t in trajectories])
         folder.record("mine", {"tasks": len(tried), "failed": len(failures), "resampled": drawn, "kept": len(seeds)})
@@ -173,7 +176,8 @@ def learn_recovery(
         device: where PPO's scenes and networks live; what it learned is then tried out on the CPU in any case.
     """
     weights, meta = folder.stages / "recovery.safetensors", folder.stages / "recovery.json"
-    learned = read_learned(meta, weights)
+    relation = between(mined.relevant.type, mined.culprit.failure_object.type, domain.relations)
+    learned = read_learned(meta, weights, len(relation.names))
     if learned is None or not folder.has_figures("recovery"):
         rig, settings, ppo = folder.rig, RecoverySettings(), scaled_to_device(preset.ppo, device)
         tasks = mined.tasks(domain)
@@ -189,7 +193,7 @@ def learn_recovery(
             lambda steps, budget, rate: progress(steps / budget, f"success {rate:.3f} after {steps // 1000} k steps"),
             device,
         )
-        terminal_data, after = _roll_out(net, tasks, mined, rig, settings, seed, workers)
+        terminal_data, after = _roll_out(net, tasks, mined, relation, rig, settings, seed, workers)
         done, accuracy = train_terminal(*terminal_data["done"], seed)
         failed, failed_accuracy = train_terminal(*terminal_data["failed"], seed + 1)
         tensors = {f"policy.{k}": v for k, v in net.to_tensors().items()}
@@ -225,7 +229,14 @@ def learn_recovery(
 
 
 def _roll_out(
-    net: ActorCritic, tasks: list[Task], mined: Mined, rig: Rig, s: RecoverySettings, seed: int, workers: int
+    net: ActorCritic,
+    tasks: list[Task],
+    mined: Mined,
+    relation: Relation,
+    rig: Rig,
+    s: RecoverySettings,
+    seed: int,
+    workers: int,
 ) -> tuple[dict[str, tuple[torch.Tensor, torch.Tensor]], PairGaussian]:
     """States before and at the goal, on past the first success, so that beta also knows what comes after."""
     seen, labels, relative, begun = [], [], [], []
@@ -247,21 +258,16 @@ def _roll_out(
                 success = is_recovered(env.x, previous, s)
                 seen.append(view.observe(env.x))
                 labels.append(success)
-                for i in torch.nonzero(success & ~reached).flatten().tolist():
-                    relative.append(_relative(env.x[i].double().numpy(), mined))
+                first = env.x[success & ~reached].double().numpy()
+                relative += list(relation.see(first[:, view.BLOCK], first[:, view.BOX]))
                 reached |= success
     features, done = torch.cat(seen), torch.cat(labels)
     # The failure detector: D^F is where the skill failed, recovered states are where it would not have.
     failure = torch.cat([features[done], *begun])
     failed = torch.cat([torch.zeros(int(done.sum())), torch.ones(sum(map(len, begun)))])
-    return {"done": (features, done.long()), "failed": (failure, failed.long())}, PairGaussian.fit(relative)
-
-
-def _relative(x: np.ndarray, mined: Mined) -> np.ndarray:
-    from resync_robot.core.state import State
-
-    state = State({mined.relevant: x[view.BLOCK], mined.culprit.failure_object: x[view.BOX]})
-    return relative_pose(state, mined.relevant, mined.culprit.failure_object)
+    return {"done": (features, done.long()), "failed": (failure, failed.long())}, PairGaussian.fit(
+        relative, relation.resolution
+    )
 
 
 def _check(context: Context, job: tuple[Mined, int, Solver | None]) -> tuple[bool, bool] | None:
@@ -298,7 +304,7 @@ def check_recovery(
     says, or as was drawn."""
     jobs = [(mined, first_seed + i, solver) for i in range(worlds)]
     results = []
-    for i, r in enumerate(parallel_map(_check, jobs, partial(make_context, domain.name, rig, record), workers)):
+    for i, r in enumerate(parallel_map(_check, jobs, partial(make_context, domain.spec, rig, record), workers)):
         if r is not None:
             results.append(r)
         progress((i + 1) / worlds, f"{sum(h for _, h in results)} of {len(results)} picked")
@@ -336,7 +342,7 @@ def dream_all(
     paths = [folder.stages / f"dreams-{i:03d}.jsonl" for i in range(len(chunks))]
     todo = [(path, chunk) for path, chunk in zip(paths, chunks, strict=True) if not path.exists()]
     flat = [spec for _, chunk in todo for spec in chunk]
-    stream = parallel_map(_dream, flat, partial(_dream_context, domain.name, folder.rig, record, gaussians), workers)
+    stream = parallel_map(_dream, flat, partial(_dream_context, domain.spec, folder.rig, record, gaussians), workers)
     finished, solved, count = len(specs) - len(flat), 0, 0
     for path, chunk in todo:
         found: list[Trajectory] = []

@@ -34,7 +34,8 @@ class TrainConfig:
     # None stands for what was not given: a run that is resumed keeps what it began with, and takes nothing else.
 
     domain: Given[str] = None
-    """The domain to train in. Default: cornered-insertion-s."""
+    """The domain to train in: a name, a file (path.py or path.py:NAME), or package.module:NAME. Default:
+    cornered-insertion-s."""
 
     preset: Annotated[
         Literal["smoke", "quick", "full"] | None,
@@ -87,16 +88,18 @@ def train(config: TrainConfig) -> None:
     from resync_robot.sim_training.domains import find_domain
 
     given = {name: getattr(config, name) for name in SHAPING if getattr(config, name) is not None}
+    domain = find_domain(given.get("domain", RunSettings.domain))
+    if "domain" in given:
+        given["domain"] = domain.spec
     begun = RunSettings(**given)
-    find_domain(begun.domain)
     check_seed(begun.seed)
     check_range("--workers", config.workers, 1, MOST_WORKERS)
     if config.resume:
-        path = config.out or run_folder.latest_folder(begun.domain)
+        path = config.out or run_folder.latest_folder(domain.name)
         if not (path / CONFIG).exists():
             raise ConfigError(f"{path} holds no run to resume", "start one without --resume")
     else:
-        path = config.out or run_folder.default_folder(begun.domain)
+        path = config.out or run_folder.default_folder(domain.name)
     run_folder.check_folder(path)
     with sole_writer(path / LOCK, path, "give another folder with --out"):
         settings, rig = _resumed(path, given) if config.resume else (_new(path, begun), None)
@@ -143,9 +146,9 @@ def _new(path: Path, settings: RunSettings) -> RunSettings:
 
 def _resumed(path: Path, given: Mapping[str, Any]) -> tuple[RunSettings, str | None]:
     from resync_robot.run_settings import read_settings
-    from resync_robot.sim_training.domains import DOMAINS
+    from resync_robot.sim_training.domains import find_domain
 
-    return read_settings(path, given, tuple(DOMAINS))
+    return read_settings(path, given, find_domain)
 
 
 def _kept(settings: RunSettings, folder: RunFolder) -> dict[str, Any]:
@@ -203,6 +206,7 @@ def _run(settings: RunSettings, w: int, domain: Domain, folder: RunFolder) -> No
     from resync_robot import stages
     from resync_robot.distil import PLANS, distil
     from resync_robot.learning.concepts import learn_concepts
+    from resync_robot.learning.dataset import StageData
     from resync_robot.progress import Stages
 
     preset, seed = stages.PRESETS[settings.preset], settings.seed
@@ -232,15 +236,13 @@ def _run(settings: RunSettings, w: int, domain: Domain, folder: RunFolder) -> No
             trajectories = stages.dream_all(domain, folder, preset, record, gaussians, seed, w, progress)
         with folder.timed("concepts"), bars.stage("concepts") as progress:
             types = (domain.operators[0].parameters[0].type, mined.relevant.type, mined.culprit.failure_object.type)
+            data = StageData(domain.recovery, types, mined.culprit.skill, trajectories)
             concepts = learn_concepts(
-                trajectories,
+                [data],
                 domain,
-                domain.recovery,
-                types,
-                mined.culprit.skill,
-                settings.concepts,
-                seed,
-                lambda what, share: progress(share, what),
+                mode=settings.concepts,
+                seed=seed,
+                progress=lambda what, share: progress(share, what),
             )
             if not any(o.name == domain.recovery for o in concepts.operators):
                 raise TrainingError(
@@ -269,7 +271,7 @@ def _save(
     from importlib.metadata import version
 
     from resync_robot import __version__
-    from resync_robot.core.library import save_library
+    from resync_robot.core.library import LearnedFailure, LearnedStage, save_library
     from resync_robot.knowledge import make_library
     from resync_robot.model_card import with_card
     from resync_robot.plots import draw_learning_curve
@@ -277,18 +279,25 @@ def _save(
     metrics = folder.metrics
     folder.record("concepts", {"report": concepts.report})
     culprit = mined.culprit
+    cause = culprit.failure_object
+    stage = LearnedStage(
+        recovery=domain.recovery,
+        scenario=mined.scenario,
+        failure=LearnedFailure(
+            skill=culprit.skill,
+            argument=culprit.relevant_argument,
+            objects={cause.name: cause.type.name},
+            before={cause.name: gaussians["before"].to_json()},
+            after={cause.name: gaussians["after"].to_json()},
+        ),
+        figures={s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
+    )
     provenance = {
         **_kept(settings, folder),
         "version": __version__,
         "packages": {p: version(p) for p in ("torch", "lerobot", "sapien", "numpy", "pyperplan")},
-        "failure": {
-            "skill": culprit.skill,
-            "object": culprit.failure_object.name,
-            "relevant": mined.relevant.name,
-        },
-        "figures": {s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
     }
-    library = with_card(make_library(domain, folder.rig, record, gaussians, concepts, provenance, policy), domain)
+    library = with_card(make_library(domain, folder.rig, stage, record, concepts, provenance, policy), domain)
     save_library(library, folder.library)
     folder.record("save", {"content_hash": library.content_hash})
     recovery = metrics["recovery"]

@@ -21,7 +21,7 @@ from resync_robot.core.task import Domain, Task
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.learning.failures import PairGaussian
-from resync_robot.planning.execute import ExecuteSettings, Model, plan_f, run_skill
+from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
 from resync_robot.sim_training.mine import is_at_rest
 from resync_robot.sim_training.world import SimWorld
 
@@ -52,11 +52,12 @@ def dream_specs(dreams: int, attempts: int, first_seed: int) -> list[DreamSpec]:
 def dream_task(spec: DreamSpec, domain: Domain, gaussians: Mapping[str, PairGaussian]) -> Task:
     """The counterfactual initial state."""
     rng = np.random.default_rng(spec.seed)
-    if spec.when == "attempt":
+    if spec.when == "attempt" and domain.practice is not None:
         return domain.practice(rng, spec.seed)
     blocks = 3 if spec.reference == "bystander" else int(rng.integers(2, 4))
     task = domain.dream(rng, spec.seed, blocks)
-    return domain.relocate(task, BLOCK(REFERENCES[spec.reference]), gaussians[spec.when].sample(rng), rng)
+    reference, box = BLOCK(REFERENCES[spec.reference]), task.initial.of_type(BOX)[0]
+    return domain.relocate(task, reference, box, gaussians[spec.when].sample(rng), rng)
 
 
 def dream(
@@ -74,13 +75,13 @@ def dream(
         return []
     recovery, settings = model.skill(domain.recovery), ExecuteSettings(max_failures=1)
     if spec.when == "attempt":
-        result = plan_f(world, model, task.goal, settings)
+        result = plan_and_execute(world, model, task.goal, settings)
         return [Trajectory(result.transitions, task.goal, result.success, spec.source)]
 
     def react(failed: GroundSkill, state: State) -> GroundSkill | None:
         return recover(recovery.ground, failed, state) if spec.when == "before" else None
 
-    result = plan_f(world, model, task.goal, ExecuteSettings(max_failures=2), reaction=react)
+    result = plan_and_execute(world, model, task.goal, ExecuteSettings(max_failures=2), reaction=react)
     found = [Trajectory(result.transitions, task.goal, result.success, spec.source)]
     stuck_in_hand = result.transitions and not result.success and result.transitions[-1].skill != "Pick"
     if spec.when == "before" and spec.reference == "base" and stuck_in_hand:
@@ -91,7 +92,7 @@ def dream(
         outcome = run_skill(again, ground)
         after = again.perceive()
         first = Transition(state, ground.name, ground.objects, after, outcome.done)
-        rest = plan_f(again, model, task.goal, settings)
+        rest = plan_and_execute(again, model, task.goal, settings)
         found.append(Trajectory((first, *rest.transitions), task.goal, rest.success and outcome.done, spec.source))
     return found
 

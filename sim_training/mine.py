@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import GroundSkill, Outcome
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.core.trajectory import Trajectory
-from resync_robot.core.vocabulary import BLOCK
-from resync_robot.core.world import Observation
 from resync_robot.learning.failures import Failure, PairGaussian
-from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_f
+from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute
 from resync_robot.sim_training.world import SimWorld
-
-SETTLING = 0.2
-"""s after which a placed object must be at rest where it was put (section 3.1)."""
-MOVED = 0.002
 
 
 @dataclass(frozen=True)
@@ -48,7 +42,7 @@ class ContactMonitor(Listener):
         self.peaks = {}
         self._before = self.world.perceive()
 
-    def on_control(self, observation: Observation, target: JointTarget) -> None:
+    def on_control(self, observation: Any, action: Any) -> None:
         if np.linalg.norm(observation.tip_force) > self.LOOK_ABOVE_N:
             for obj, force in self.world.hand_contacts():
                 if obj is not None:
@@ -61,11 +55,7 @@ class ContactMonitor(Listener):
 
 def is_at_rest(world: SimWorld) -> bool:
     """Let the scene settle; did everything stay where it was put?"""
-    before = world.perceive()
-    for _ in range(world.built.solver.steps(SETTLING)):
-        world.step()
-    after = world.perceive()
-    return all(np.linalg.norm(after[b][:3] - before[b][:3]) < MOVED for b in before.of_type(BLOCK))
+    return world.settles()
 
 
 def attempt_task(task: Task, model: Model, rig: Rig) -> Attempt | None:
@@ -74,7 +64,7 @@ def attempt_task(task: Task, model: Model, rig: Rig) -> Attempt | None:
     if not is_at_rest(world):
         return None
     monitor = ContactMonitor(world)
-    result = plan_f(world, model, task.goal, ExecuteSettings(max_failures=1), monitor)
+    result = plan_and_execute(world, model, task.goal, ExecuteSettings(max_failures=1), monitor)
     failed = [t for t in result.transitions if not t.succeeded]
     failure = None
     if failed:
@@ -88,8 +78,10 @@ def attempt_task(task: Task, model: Model, rig: Rig) -> Attempt | None:
     return Attempt(task, Trajectory(result.transitions, task.goal, result.success, "mining"), failure)
 
 
-def resample_failure(domain: Domain, scenario: str, relevant: Object, gaussian: PairGaussian, seed: int) -> Task:
-    """A new initial state with the relevant object and the failure object in a relative pose from the Gaussian."""
+def resample_failure(
+    domain: Domain, scenario: str, relevant: Object, beside: Object, gaussian: PairGaussian, seed: int
+) -> Task:
+    """A new initial state with the relevant object beside the failure object in a way drawn from the Gaussian."""
     rng = np.random.default_rng(seed)
     task = domain.scenario(scenario).sample_practice(rng, seed)
-    return domain.relocate(task, relevant, gaussian.sample(rng), rng)
+    return domain.relocate(task, relevant, beside, gaussian.sample(rng), rng)

@@ -13,10 +13,10 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK
+from resync_robot.sim_training.domains.corner import block_features
 from resync_robot.sim_training.domains.layouts import (
     THE_BOX,
     R,
-    block_features,
     corner_pose,
     free_in_box,
     free_on_table,

@@ -1,4 +1,4 @@
-"""Proximal policy optimisation of a recovery skill, read from top to bottom.
+"""Proximal policy optimisation, read from top to bottom: any environment of scenes that reset when they are told to.
 
 Schulman et al. 2017. Differences from the textbook: the policy's standard deviation is annealed on a schedule (a
 constant one leaves the deterministic policy much worse than its sampled self), and episodes that time out bootstrap.
@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -20,16 +21,7 @@ from torch import Tensor
 
 from resync_robot.core.damage import reading
 from resync_robot.core.files import whole
-from resync_robot.core.rig import Rig
-from resync_robot.core.symbols import Object
-from resync_robot.core.task import Task
-from resync_robot.learning import recovery_policy as view
 from resync_robot.learning.recovery_policy import ActorCritic
-from resync_robot.sim_training.recovery import FailedWorlds, RecoverySettings, lagging, reward
-from resync_robot.sim_training.vector_env import RecoveryScenes
-
-if TYPE_CHECKING:
-    from resync_robot.sim_training.maniskill_env import ManiSkillScenes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,135 +50,48 @@ class PpoSettings:
     """Share of resets that build another world: new sizes, box and friction."""
 
 
-class Scenes(Protocol):
-    """Simulated scenes, one failed world each, whose block and arm can be put anywhere: `RecoveryScenes` (processes,
-    numpy) or `ManiSkillScenes` (tensors on a device). Arrays are of shape (count, ...)."""
+class Environment(Protocol):
+    """Many scenes of one MDP. What it returns are tensors of shape (count, ...) on its device."""
 
-    tasks: Sequence[Task]
-    block: Object
     count: int
 
-    @property
-    def joints(self) -> Any: ...
-    @property
-    def blocks(self) -> Any: ...
-    def step(self, q: Any, opening: float = 0.0) -> None: ...
-    def reset(self, resets: Sequence[tuple[int, int, Any, Any]]) -> None: ...
-
-
-class RecoveryEnv:
-    """The recovery MDP over `Scenes`: projected states in, rewards out, finished scenes reset themselves.
-
-    Everything it holds is a tensor on the device of the scenes.
-
-    Args:
-        rebuild: share of resets that put another world into the scene; 0 where scenes cannot be rebuilt.
-    """
-
-    def __init__(self, scenes: Scenes, rig: Rig, settings: RecoverySettings, gamma: float, seed: int, rebuild: float):
-        self.scenes, self.settings, self.gamma, self.rebuild = scenes, settings, gamma, rebuild
-        measured = scenes.joints
-        xp, device = (torch, measured.device) if isinstance(measured, Tensor) else (np, torch.device("cpu"))
-        self.worlds = FailedWorlds(scenes.tasks, scenes.block, rig, xp, device)
-        self.random = torch.Generator(device).manual_seed(seed)
-        self._draw = np.random.default_rng(seed)
-        self._everyone = torch.arange(scenes.count, device=device)
-        self.task_index = self._everyone % len(scenes.tasks)
-        self.steps = torch.zeros(scenes.count, dtype=torch.long, device=device)
-        self.commanded = torch.zeros(scenes.count, 3, device=device)
-        self.lag = torch.zeros(scenes.count, device=device)
-        self.x = torch.zeros(scenes.count, view.PROJECTED_SIZE, device=device)
-        self.reset(self._everyone)
-
-    def reset(self, which: Any) -> None:
-        """Begin new episodes in the given scenes."""
-        which = torch.as_tensor(which, device=self.x.device)
-        if self.rebuild > 0:
-            for i in which.tolist():
-                if self._draw.random() < self.rebuild:
-                    self.task_index[i] = int(self._draw.integers(len(self.scenes.tasks)))
-        task = self.task_index[which]
-        poses, q, tip = self.worlds.draw_starts(task, self.random)
-        self.scenes.reset(list(zip(which.tolist(), task.tolist(), poses, q, strict=True)))
-        self.commanded[which] = tip
-        self.lag[which] = self.settings.lag * torch.rand(len(which), generator=self.random, device=self.x.device)
-        self.steps[which] = 0
-        self.x[which] = self._read(which)
-
-    def _read(self, which: Tensor) -> Tensor:
-        i = self.worlds.index(which)
-        return self.worlds.states(
-            self.scenes.joints[i], self.scenes.blocks[i], self.commanded[which], self.task_index[which]
-        )
+    def observe(self) -> Tensor:
+        """(count, d) what the policy sees of each scene."""
+        ...
 
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Reward, success, terminated and truncated, each (n,); `x` is then the state to act from."""
-        previous, before = self.x, self.commanded
-        self.commanded = view.commanded_tip(previous, action)
-        sent = lagging(self.commanded, before, self.lag)
-        self.scenes.step(self.worlds.joints_at(sent, self.task_index))
-        self.x = self._read(self._everyone)
-        self.steps += 1
-        gained, success, failed = reward(self.x, previous, self.gamma, self.settings)
-        truncated = (self.steps >= self.settings.horizon) & ~success & ~failed
-        return gained, success, success | failed, truncated
+        """Reward, success, terminated and truncated of each scene."""
+        ...
+
+    def reset(self, which: Tensor) -> None:
+        """Begin new episodes in the scenes of these indices."""
+        ...
+
+    def learn(self) -> None:
+        """Between two batches: time for what the environment itself learns."""
+        ...
 
 
-DEVICE_SCENES = 4096
+Progress = Callable[[int, int, float], None]
+"""Called with steps so far, the budget, and the success rate."""
 
 
-def scaled_to_device(settings: PpoSettings, device: str) -> PpoSettings:
-    """The same training for thousands of scenes on a GPU: larger batches, and a budget that lets as many updates
-    happen. Their worlds stay as they were built, for there are enough of them."""
-    if device == "cpu":
-        return settings
-    more = DEVICE_SCENES // settings.scenes
-    return replace(
-        settings,
-        scenes=DEVICE_SCENES,
-        minibatch=settings.minibatch * more // 4,
-        total_steps=settings.total_steps * more // 4,
-        least_steps=settings.least_steps * more // 4,
-        anneal_steps=settings.anneal_steps * more // 4,
-        rebuild=0.0,
-    )
-
-
-def _make_scenes(
-    tasks: Sequence[Task], block: Object, rig: Rig, count: int, workers: int, device: str
-) -> RecoveryScenes | ManiSkillScenes:
-    if device == "cpu":
-        return RecoveryScenes(tasks, block, rig, count, workers)
-    from resync_robot.sim_training.maniskill_env import ManiSkillScenes  # its import takes seconds
-
-    return ManiSkillScenes(tasks, block, rig, count, device)
-
-
-def train_recovery(
-    tasks: Sequence[Task],
-    block: Object,
-    rig: Rig,
-    seed: int,
-    workers: int,
+def train_policy(
+    net: ActorCritic,
+    open_environment: Callable[[int], AbstractContextManager[Environment]],
     settings: PpoSettings,
-    recovery: RecoverySettings,
+    seed: int,
     checkpoint: Path,
-    progress: Callable[[int, int, float], None],
-    device: str = "cpu",
-) -> tuple[ActorCritic, dict[str, Any]]:
-    """Learn a recovery from failure worlds; resumes from `checkpoint` where one lies.
+    progress: Progress,
+) -> dict[str, list[float]]:
+    """Train `net`, which lies on the environment's device; resumes from `checkpoint` where one lies.
 
     Args:
-        tasks: the mined failures (D^F), each as a task whose initial state fails.
-        workers: processes that step the scenes on the CPU.
-        progress: called with (steps so far, budget, success rate).
-        device: where scenes and networks live; not "cpu": ManiSkill's scenes on that GPU.
+        open_environment: how many steps were done before -> the environment, with `settings.scenes` scenes.
 
     Returns:
-        The policy, on the CPU, and its learning curve: lists of steps, success rate, mean return and seconds.
+        The learning curve: steps, success rate, mean return and seconds.
     """
-    torch.manual_seed(seed)
-    net = ActorCritic().to(device)
     optimiser = torch.optim.Adam(net.parameters(), lr=settings.learning_rate, eps=1e-5)
     curve: dict[str, list[float]] = {"steps": [], "success": [], "return": [], "seconds": []}
     done_steps, spent = 0, 0.0
@@ -195,9 +100,8 @@ def train_recovery(
     window = max(400, settings.scenes)
     finished: deque[float] = deque(maxlen=window)
     returns: deque[float] = deque(maxlen=window)
-    begun = time.monotonic() - spent
-    with _make_scenes(tasks, block, rig, settings.scenes, workers, device) as scenes:
-        env = RecoveryEnv(scenes, rig, recovery, settings.gamma, seed + done_steps, settings.rebuild)
+    begun, device = time.monotonic() - spent, net.mean.device
+    with open_environment(done_steps) as env:
         running_return = torch.zeros(settings.scenes, device=device)
         random = torch.Generator(device).manual_seed(seed + 1 + done_steps)
         # A run that had learned enough when it was cut off has still learned enough.
@@ -212,6 +116,7 @@ def train_recovery(
             for group in optimiser.param_groups:
                 group["lr"] = settings.learning_rate * max(0.1, remaining)
             _update(net, optimiser, batch, std, settings, random)
+            env.learn()
             done_steps += settings.scenes * settings.steps
             rate = float(np.mean(finished)) if finished else 0.0
             for key, value in zip(
@@ -224,11 +129,11 @@ def train_recovery(
             full = len(finished) == finished.maxlen and done_steps >= settings.least_steps
             enough = full and rate >= settings.stop_at
     _save(checkpoint, net, optimiser, curve)
-    return net.cpu().eval(), {"curve": curve}
+    return curve
 
 
 def _collect(
-    env: RecoveryEnv,
+    env: Environment,
     net: ActorCritic,
     std: float,
     s: PpoSettings,
@@ -241,7 +146,7 @@ def _collect(
     """Roll the policy for `steps` and estimate advantages (GAE)."""
     observations, actions, log_probs, values, rewards, ends, bootstraps = [], [], [], [], [], [], []
     for _ in range(s.steps):
-        observation = view.observe(env.x)
+        observation = env.observe()
         with torch.no_grad():
             mean, value = net.act(observation), net.value(observation)
         action = mean + std * torch.randn(mean.shape, generator=random, device=mean.device)
@@ -249,7 +154,7 @@ def _collect(
         ended = terminated | truncated
         with torch.no_grad():
             # A time-out is not the end of the world: what would have followed still counts.
-            bootstraps.append(torch.where(truncated, net.value(view.observe(env.x)), torch.zeros_like(value)))
+            bootstraps.append(torch.where(truncated, net.value(env.observe()), torch.zeros_like(value)))
         observations.append(observation)
         actions.append(action)
         log_probs.append(_log_prob(action, mean, std))
@@ -273,7 +178,7 @@ def _collect(
             values = list(net.value(stacked))
             log_probs = list(_log_prob(torch.stack(actions), means, std))
     with torch.no_grad():
-        next_value = net.value(view.observe(env.x))
+        next_value = net.value(env.observe())
     advantages: list[Tensor] = []
     advantage = torch.zeros_like(next_value)
     for t in reversed(range(s.steps)):

@@ -9,14 +9,15 @@ import numpy as np
 from sapien import Pose
 from sapien.render import RenderCameraComponent
 
-from resync_robot.core.errors import UnknownNameError
+from resync_robot.core import spatial
+from resync_robot.core.errors import MotionError, UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, ROBOT
-from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Observation, Window
+from resync_robot.core.world import ArmObservation, CameraFrame, Cutout, Glimpse, Window
 from resync_robot.sim_training.scene import (
     TORQUE,
     BuiltScene,
@@ -28,6 +29,11 @@ from resync_robot.sim_training.scene import (
     look_through,
     place_camera,
 )
+
+SETTLING = 0.2
+"""s after which a placed object must be at rest where it was put (section 3.1)."""
+MOVED = 0.002
+"""m that it may move meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +103,17 @@ class SimWorld:
         q, qd = qpos[self.built.arm_index], qvel[self.built.arm_index]
         return q, qd, float(qpos[self.built.finger_index].sum()), self._tip_force(q)
 
-    def observe(self, live: bool = False) -> Observation:
+    def observe(self, live: bool = False) -> ArmObservation:
         q, qd, opening, force = self.measure()
-        return Observation(self.time, q, qd, opening, self._target.opening, force, self.state(q, opening))
+        return ArmObservation(
+            time=self.time,
+            state=self.state(q, opening),
+            arm=q,
+            arm_velocity=qd,
+            opening=opening,
+            told_opening=self._target.opening,
+            tip_force=force,
+        )
 
     def perceive(self) -> State:
         """The true state: an oracle, for training and for measuring what perception costs."""
@@ -120,6 +134,33 @@ class SimWorld:
         body.entity.set_pose(Pose(np.asarray(features[:3]), np.asarray(features[3:7])))
         body.linear_velocity, body.angular_velocity = np.zeros(3), np.zeros(3)
         body.wake_up()
+
+    def reset(self, state: State) -> bool:
+        """Put everything at rest where `state` has it. Returns whether the arm reaches there and the blocks stay."""
+        rig, features = self.rig, state[self.robot_object]
+        tip = spatial.pose_from_features(features[:7])
+        base_T_flange = spatial.inverse(rig.arm.world_T_base) @ tip @ spatial.inverse(rig.gripper.flange_T_tip)
+        try:
+            q = rig.arm.kinematics.inverse(base_T_flange, rig.arm.home)
+        except MotionError:
+            return False
+        self.time, self._target = 0.0, JointTarget(q, float(features[7]))
+        self.built.set_configuration(q, self._target.opening)
+        for obj in self._blocks:
+            self.place(obj, state[obj])
+        return self.settles()
+
+    def settles(self) -> bool:
+        """Let the scene come to rest; does every block stay where it is?"""
+        before = self.perceive()
+        for _ in range(self.built.solver.steps(SETTLING)):
+            self.step()
+        after = self.perceive()
+        return all(np.linalg.norm(after[b][:3] - before[b][:3]) < MOVED for b in self._blocks)
+
+    def contacts(self) -> dict[Object, float]:
+        """The objects that the hand touches now, and with which force in N; not what a block in it touches."""
+        return {obj: force for obj, force in self.hand_contacts() if obj is not None}
 
     def save(self) -> Snapshot:
         bodies = {}

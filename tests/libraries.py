@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
 
-from resync_robot.core.library import Library, Record
+from resync_robot.core.library import LearnedFailure, LearnedStage, Library, Record
 from resync_robot.core.rig import load_rig
+from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, ActorCritic
 from resync_robot.learning.terminals import Terminal
 from resync_robot.planning.pddl import domain_to_pddl
@@ -31,11 +33,28 @@ def recovery_record(failed: float | None = None) -> Record:
     return Record({"policy": {"width": 8, "depth": 1}, "terminal": inputs, "failed": inputs}, tensors)
 
 
+def cornered(before: Any, after: Any) -> LearnedFailure:
+    """Pick fails on its block, for which the box is to blame; with these pair Gaussians."""
+    return LearnedFailure(
+        skill="Pick", argument=1, objects={"box": "box"}, before={"box": before}, after={"box": after}
+    )
+
+
+def gaussians_of(library: Library) -> dict[str, PairGaussian]:
+    """Those of where the block lies in the box, before and after the recovery."""
+    failure = library.stages[0].failure
+    return {
+        "before": PairGaussian.from_json(failure.before["box"]),
+        "after": PairGaussian.from_json(failure.after["box"]),
+    }
+
+
 def with_camera_policy(recovered: int, worlds: int) -> Library:
     """That library with a camera policy that nobody can load, and how it did in its trials."""
     points = [{"step": 1, "success": worlds, "worlds": worlds}, {"step": 2, "success": recovered, "worlds": worlds}]
-    figures = {"figures": {"distil": {"points": points, "chosen": 2}}}
-    return replace(given_library(), policies={"Recover": {"config.json": b"{}"}}, provenance=figures)
+    library = given_library()
+    stage = replace(library.stages[0], figures={"distil": {"points": points, "chosen": 2}})
+    return replace(library, policies={"Recover": {"config.json": b"{}"}}, stages=(stage,))
 
 
 def given_library() -> Library:
@@ -47,6 +66,6 @@ def given_library() -> Library:
         domain_pddl=domain_to_pddl(domain.name, domain.types, domain.predicates, domain.operators),
         predicates={},
         skills={domain.recovery: recovery_record()},
-        gaussians={},
+        stages=(LearnedStage(recovery=domain.recovery, scenario="s0", failure=cornered({}, {})),),
         provenance={"seed": 0},
     )

@@ -17,7 +17,7 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.trajectory import Trajectory, Transition, write_trajectories
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.knowledge import shipped_library
-from resync_robot.learning.failures import Culprit, PairGaussian
+from resync_robot.learning.failures import Culprit
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, ActorCritic
 from resync_robot.run_folder import RunFolder, write_json
 from resync_robot.run_settings import RunSettings
@@ -25,7 +25,7 @@ from resync_robot.sim_training import ppo
 from resync_robot.sim_training.domains import find_domain, world_task
 from resync_robot.stage_files import Mined
 from resync_robot.stages import CHUNK, PRESETS
-from tests.libraries import DOMAIN
+from tests.libraries import DOMAIN, gaussians_of
 
 POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
 
@@ -40,7 +40,7 @@ def make_run(path: Path) -> RunFolder:
     robot, block = (next(o for o in task.objects if o.type == kind) for kind in (ROBOT, BLOCK))
     tried = Transition(task.initial, "Pick", (robot, block), task.initial, succeeded=False)
     attempts = [Trajectory((tried,), task.goal, False, source) for source in ("attempt", "before@base")]
-    gaussians = {name: PairGaussian.from_json(g) for name, g in library.gaussians.items()}
+    gaussians = gaussians_of(library)
     box = next(o for o in task.objects if o.type == BOX)
     mined = Mined(Culprit("Pick", box, 1), block, gaussians["before"], (1000, 1001), "s0")
     write_trajectories(folder.stages / "mining.jsonl", attempts)

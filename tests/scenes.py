@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from resync_robot.core import spatial
+from resync_robot.core.relations import seen
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atoms
+from resync_robot.core.symbols import Atoms, Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.sim_training.domains.corner import RELATIONS
 
 FLOOR = 0.005
 """Height of the box floor's upper face over the table, m."""
@@ -57,3 +59,8 @@ def scene(
         "colours": dict.fromkeys(blocks, (0.8, 0.1, 0.1)),
     }
     return Task(state.objects, state, goal, {**drawn, **physics}, seed=0)
+
+
+def in_box(state: State, block: Object) -> np.ndarray:
+    """(4,) how a block lies in the box: the smaller and the larger gap to a wall, m, and its heading."""
+    return seen(state, block, THE_BOX, RELATIONS)

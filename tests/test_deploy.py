@@ -372,9 +372,11 @@ def test_an_arm_that_stands_where_it_cannot_be_driven_leaves_the_other_episodes_
 def test_a_scene_without_a_plan_leaves_the_other_episodes_their_turn(
     renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = execute.plan_f
+    found = execute.plan_and_execute
     blind = iter([execute.Result(execute.End.NO_PLAN, "no plan reaches On(b1, b0)", (), (), scenes.scene({}).initial)])
-    monkeypatch.setattr(execute, "plan_f", lambda *args, **kwargs: next(blind, None) or found(*args, **kwargs))
+    monkeypatch.setattr(
+        execute, "plan_and_execute", lambda *args, **kwargs: next(blind, None) or found(*args, **kwargs)
+    )
     args = ["--library", str(library), "--perception", "oracle", "--dry-run", "--episodes", "2", "--out", str(tmp_path)]
     assert cli.main(["deploy", *args]) == 3
     shown = capsys.readouterr().out

@@ -20,12 +20,12 @@ from resync_robot.core.rig import load_rig
 from resync_robot.distil import DistilPlan, _check_candidate, distil, to_keep
 from resync_robot.knowledge import shipped_library
 from resync_robot.learning.camera_view import GAPS, PICTURE, state_seen
-from resync_robot.learning.failures import PairGaussian
 from resync_robot.run_folder import RunFolder
 from resync_robot.sim_training.demos.dataset import STAMP
 from resync_robot.sim_training.demos.recoveries import RenderedRecovery
 from resync_robot.sim_training.demos.starts import draw_start
 from resync_robot.sim_training.domains import find_domain
+from tests.libraries import gaussians_of
 from tests.run_folders import DAMAGES, copy_of, files_of
 from tests.test_resume import ReachedError
 
@@ -39,7 +39,7 @@ HARMLESS = {"distil.csv": ("no bytes", "last line gone"), "distil.json": ("an em
 def run(folder: Path) -> dict[str, bytes]:
     domain = find_domain("cornered-insertion-s")
     library = load_library(shipped_library(domain.name))
-    gaussians = {k: PairGaussian.from_json(v) for k, v in library.gaussians.items()}
+    gaussians = gaussians_of(library)
     record = library.skills[domain.recovery]
     return distil(domain, RunFolder(folder), TINY, record, gaussians, 0, 1, "cpu", lambda share, words: None)
 
@@ -160,7 +160,7 @@ def test_the_shipped_policy_sees_its_block_and_whether_it_is_stuck(tmp_path: Pat
     for name, data in library.policies[domain.recovery].items():
         (tmp_path / name).write_bytes(data)
     student = load_student(tmp_path, rig)
-    gaussians = {k: PairGaussian.from_json(v) for k, v in library.gaussians.items()}
+    gaussians = gaussians_of(library)
     scenes = [RenderedRecovery(draw_start(domain, gaussians, 980_000_000 + i), rig, 0.0, i) for i in range(8)]
     seen = [scene.see() for scene in scenes]
     pictures = np.stack([o.pictures for o in seen])

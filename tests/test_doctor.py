@@ -10,6 +10,7 @@ import pytest
 from resync_robot import cli, doctor
 from resync_robot.core.library import Library, save_library
 from resync_robot.doctor import Finding
+from resync_robot.progress import show_findings
 
 HEALTHY = Finding("vulkan", "ok", "a renderer")
 
@@ -58,7 +59,7 @@ def test_a_rig_in_the_wrong_unit_fails_with_the_likely_one(tmp_path: Path) -> No
 
 
 def test_brackets_in_a_finding_are_shown_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
-    doctor._show([Finding("robot", "warn", "[arm] is missing", "install '.[hardware]'")])
+    show_findings([Finding("robot", "warn", "[arm] is missing", "install '.[hardware]'")])
     shown = capsys.readouterr().out
     assert "[arm] is missing" in shown
     assert "'.[hardware]'" in shown
@@ -174,7 +175,7 @@ def test_a_gpu_that_torch_cannot_use_is_a_warning(answer: str, status: str, monk
 def test_libraries(tmp_path: Path) -> None:
     assert doctor.check_libraries(tmp_path).status == "warn"
     folder = tmp_path / "test-domain"
-    save_library(Library("test-domain", "abc", "(define)", {}, {}, {}, {}), folder)
+    save_library(Library("test-domain", "abc", "(define)", {}, {}, (), {}), folder)
     finding = doctor.check_libraries(tmp_path)
     assert finding.status == "ok"
     assert "test-domain" in finding.detail

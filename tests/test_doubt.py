@@ -12,7 +12,8 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Predicate
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.doubt import DoubtingAbstraction, DoubtSettings, objects_in, samples
-from resync_robot.planning.abstract import HOLDS, Abstraction, Not
+from resync_robot.planning.abstract import Abstraction, Not
+from resync_robot.planning.atom_beliefs import AtomBeliefs
 from tests import scenes
 
 LEFT = Predicate("Left", (BLOCK,))
@@ -59,7 +60,6 @@ def test_near_the_edge_neither_an_atom_nor_its_negation_holds() -> None:
     assert set(doubting.doubtful(near)) == {LEFT(B0), NOT_LEFT(B0)}
     assert objects_in(doubting.doubtful(near)) == (B0,)
     assert doubting.true_atoms(near) == {LEFT(B1)}
-    assert max(doubting.abstract(near)[a] for a in (LEFT(B0), NOT_LEFT(B0))) <= HOLDS
     # Looking better at the same place decides it.
     assert doubting.doubtful(believed(EDGE - 0.2 * SIGMA, SIGMA / 20)) == {}
     assert LEFT(B0) in doubting.true_atoms(believed(EDGE - 0.2 * SIGMA, SIGMA / 20))
@@ -72,15 +72,11 @@ def test_far_from_the_edge_nothing_is_in_doubt() -> None:
         assert atom in doubting.true_atoms(believed(x))
 
 
-def test_where_nothing_else_is_left_the_likelier_side_counts_and_what_follows_from_it() -> None:
-    doubting = DoubtingAbstraction(GIVEN)
-    assert doubting.likely_atoms(believed(EDGE - 0.4 * SIGMA)) == {LEFT(B0), LEFT(B1)}
-    assert doubting.likely_atoms(believed(EDGE + 0.4 * SIGMA)) == {NOT_LEFT(B0), LEFT(B1)}
-    # As many samples on either side: the mean decides.
-    split = [x for x in EDGE + SIGMA * np.linspace(-0.5, 0.5, 101) if doubting.shares(believed(x))[LEFT(B0)] == HOLDS]
-    assert split
-    for x in split:
-        assert doubting.likely_atoms(believed(x)) == {LEFT(B0) if x < EDGE else NOT_LEFT(B0), LEFT(B1)}
+def test_the_likelier_side_is_what_a_plan_may_rely_on_where_it_must() -> None:
+    for away, likelier in ((-0.4, LEFT(B0)), (0.4, NOT_LEFT(B0))):
+        beliefs = AtomBeliefs({})
+        beliefs.perceived(DoubtingAbstraction(GIVEN).shares(believed(EDGE + away * SIGMA)))
+        assert beliefs.certain() == {LEFT(B1)} and beliefs.likely().keys() == {likelier}
 
 
 def test_draws_hang_on_the_name_alone_and_vary_smoothly_with_the_covariance() -> None:

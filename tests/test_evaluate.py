@@ -463,7 +463,7 @@ def test_results_of_other_settings_are_never_mixed(
 ) -> None:
     from dataclasses import replace
 
-    save_library(replace(given_library(), gaussians={"other": 1}), tmp_path / "other")
+    save_library(replace(given_library(), execution={"variants": {}}), tmp_path / "other")
     file = tmp_path / "rows.json"
     assert quick("--scenarios", "s0", "--episodes", "2", "--json", file) == 0
     before = file.read_bytes()

@@ -51,7 +51,7 @@ def test_it_says_what_goes_in_what_comes_out_and_what_was_measured(shipped: Libr
         kind = "observation.images.{front, side, wrist}" if "images" in name else name
         assert f"| `{kind}` | {'x'.join(map(str, feature['shape']))} |" in text
     assert "joint_0_rad" in text and "forward_m" in text and "10 steps a second" in text
-    figures = library.provenance["figures"]["distil"]
+    figures = library.stage(CORNERED.recovery).figures["distil"]
     for point in figures["points"]:
         kept = ", kept" if point["step"] == figures["chosen"] else ""
         assert re.search(

@@ -21,20 +21,22 @@ RIG = Path(__file__).parents[1] / "hardware" / "emulated.toml"
 
 
 @pytest.mark.parametrize(
-    ("provenance", "why"),
+    ("figures", "why"),
     [
-        (with_camera_policy(4, 8).provenance, ""),
-        (with_camera_policy(3, 8).provenance, "recovered in only 3 of the 8 trials"),
+        (with_camera_policy(4, 8).stages[0].figures, ""),
+        (with_camera_policy(3, 8).stages[0].figures, "recovered in only 3 of the 8 trials"),
         ({}, ""),
-        ({"figures": {"distil": {"points": [], "chosen": 1}}}, ""),
-        ({"figures": {"distil": {"points": [{"step": 1}], "chosen": 1}}}, ""),
-        ({"figures": []}, ""),
+        ({"distil": {"points": [], "chosen": 1}}, ""),
+        ({"distil": {"points": [{"step": 1}], "chosen": 1}}, ""),
+        ({"distil": []}, ""),
     ],
 )
 def test_a_camera_policy_that_failed_its_trials_is_found_by_what_training_left(
-    provenance: dict[str, Any], why: str
+    figures: dict[str, Any], why: str
 ) -> None:
-    found = why_not_by_camera(CORNERED, replace(with_camera_policy(1, 1), provenance=provenance))
+    library = with_camera_policy(1, 1)
+    stage = replace(library.stages[0], figures=figures)
+    found = why_not_by_camera(CORNERED, replace(library, stages=(stage,)))
     assert why in found and bool(why) == bool(found)
     assert "no camera policy for Recover" in why_not_by_camera(CORNERED, given_library())
 

@@ -12,7 +12,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object
 from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import World
-from resync_robot.planning.abstract import HOLDS
+from resync_robot.planning.atom_beliefs import AtomBeliefs
 from resync_robot.planning.execute import End, Listener, Model, Result, run_skill
 
 Expert = Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
@@ -22,10 +22,10 @@ Expert = Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
 def run_human_sequence(
     world: World, model: Model, goal: Atoms, expert: Expert, listener: Listener | None = None
 ) -> Result:
-    """Run every skill of the expert's sequence once; look where Plan_f does, before the first and after each.
+    """Run every skill of the expert's sequence once; look before the first and after each.
 
     The sequence is that for the scene as it is first perceived. A skill that does not end done ends the episode. As
-    with Plan_f, the atoms seen at the end decide: the goal may hold although the last skill was cut short.
+    with `plan_and_execute`, the atoms seen at the end decide: the goal may hold although the last skill was cut short.
 
     Args:
         model: its skills are run, its abstraction judges the goal; its operators are not used.
@@ -55,6 +55,7 @@ def run_human_sequence(
 
 def _look(world: World, model: Model, listener: Listener) -> tuple[State, Atoms]:
     state = world.perceive()
-    probabilities = model.abstraction.abstract(state)
-    listener.on_perceived(state, probabilities)
-    return state, frozenset(a for a, p in probabilities.items() if p > HOLDS)
+    beliefs = AtomBeliefs(model.learned)
+    beliefs.perceived(model.abstraction.shares(state))
+    listener.on_perceived(state, beliefs.shown())
+    return state, beliefs.certain()

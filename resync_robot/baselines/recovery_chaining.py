@@ -17,7 +17,7 @@ from resync_robot.learning.terminals import Terminal
 
 
 class RecoveryChaining:
-    """A `Reaction` of Plan_f.
+    """A `Reaction` of `plan_and_execute`.
 
     Args:
         recovery: the learned skill over (robot, block, box).

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from jaxtyping import UInt8
@@ -12,11 +12,14 @@ from jaxtyping import UInt8
 from resync_robot.core.skill import Skill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
-from resync_robot.core.task import Task
-from resync_robot.core.world import Simulator
+from resync_robot.core.world import ActionT_contra, ObservationT_co, Simulator
+
+if TYPE_CHECKING:
+    # A task is of a domain, which has an embodiment, which simulates tasks.
+    from resync_robot.core.task import Task
 
 
-class TrainingSimulator(Simulator, Protocol):
+class TrainingSimulator(Simulator[ObservationT_co, ActionT_contra], Protocol[ObservationT_co, ActionT_contra]):
     """A simulator that failures are mined in: its state can be set, and it tells what the robot runs into."""
 
     def reset(self, state: State) -> bool:
@@ -46,8 +49,8 @@ class Embodiment:
 
     actions: Mapping[str, tuple[float, float]]
     rate_hz: float
-    simulate: Callable[[Task], Any]
-    skills: Callable[[], tuple[Skill, ...]]
+    simulate: Callable[[Task], TrainingSimulator[Any, Any]]
+    skills: Callable[[], tuple[Skill[Any, Any], ...]]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,15 +1,16 @@
-"""The library: everything a training run learned, as one folder of open files.
+"""The library: everything the stages of training learned so far, as one folder of open files.
 
     library/
       library.json          version, domain, rig hash, list of files with their SHA-256
       domain.pddl           types, predicates, operators
-      predicates/NAME.json  signature, form, effects;  NAME.safetensors  classifier weights
-      skills/NAME.json      signature, settings;       NAME.safetensors  policy and terminal weights
+      stages/1-NAME.json    for each stage, in the order learned: the recovery, the scenario it began from, the failure
+                            that it mends with its pair Gaussians, and figures of its training
+      predicates/NAME.json  signature, stage, form, effects;  NAME.safetensors  classifier weights
+      skills/NAME.json      signature, settings;              NAME.safetensors  policy and terminal weights
       policies/NAME/        the skill's camera policy, where one was trained: a LeRobot checkpoint, as LeRobot wrote it,
                             and its model card, README.md
-      execution.json        the learned atom that each skill relies on, other names of skills, how practice went
-      gaussians.json        pair Gaussians of failures and recoveries
-      provenance.json       git hash, seeds, versions, figures, durations
+      execution.json        the learned atoms that each skill relies on, other names of skills, how practice went
+      provenance.json       git hash, seeds, versions of the run that learned the last stage
 
 Loading checks the version, every file's hash and every record; nothing is unpickled.
 """
@@ -19,7 +20,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,12 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from resync_robot.core.damage import PULL, is_pointer
+from resync_robot.core.damage import PULL, Shape, check_shape, is_pointer
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.files import unwritable, whole_folder
 
-VERSION = 2
-"""2: a classifier sees all of the outside of a box as one."""
+VERSION = 3
+"""3: several stages, each with its own failure; effect vectors; several learned atoms that a skill relies on."""
 CARD = "README.md"
 """The model card of a policy, in its folder."""
 RETRAIN = "train a new one: resync-robot train-sim --domain cornered-insertion-s"
@@ -47,30 +48,88 @@ class Record:
     tensors: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, kw_only=True)
+class LearnedFailure:
+    """What a stage learned about the failure of a skill.
+
+    Attributes:
+        skill: the skill that failed (C^F).
+        argument: which of its arguments the failure is about (o^R).
+        objects: those that caused it (o^F), one or more: name -> name of the type.
+        before, after: for each of them, by its name, the pair Gaussian of where o^R lies beside it when the skill
+            fails, and after the recovery; as plain data.
+    """
+
+    skill: str
+    argument: int
+    objects: Mapping[str, str]
+    before: Mapping[str, Any]
+    after: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedStage:
+    """One stage: a failure, and the recovery that mends it, whose record is among the library's skills.
+
+    Attributes:
+        scenario: in which the failure was met.
+        figures: step of the training -> how it went, durations included.
+    """
+
+    recovery: str
+    scenario: str
+    failure: LearnedFailure
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+
+STAGE: Shape = {
+    "recovery": str,
+    "scenario": str,
+    "failure": {"skill": str, "argument": int, "objects": dict, "before": dict, "after": dict},
+    "figures": dict,
+}
+"""The fields of stages/1-NAME.json."""
+
+
 @dataclass(frozen=True)
 class Library:
-    """What a run learned, as data; the rooms that know how to use a record rebuild the live object."""
+    """What training learned, as data; the rooms that know how to use a record rebuild the live object.
+
+    Attributes:
+        stages: in the order learned.
+        predicates, skills: by name; `skills` are the recoveries.
+    """
 
     domain: str
     rig_hash: str
     domain_pddl: str
     predicates: Mapping[str, Record]
     skills: Mapping[str, Record]
-    gaussians: Mapping[str, Any]
+    stages: tuple[LearnedStage, ...]
     provenance: Mapping[str, Any]
     execution: Mapping[str, Any] = field(default_factory=dict)
     policies: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict)
     """By skill: file name -> content."""
+    types_hash: str = ""
+    """Of the domain's types (`Domain.types_hash`); empty in a library that was saved without."""
 
     @property
     def content_hash(self) -> str:
         """SHA-256 over what decides behaviour: everything but provenance (which holds dates and durations) and model
-        cards (which are for people)."""
+        cards (which are for people), and figures of the stages."""
         digest = hashlib.sha256()
-        for name, data in sorted(_files(self).items()):
+        without_figures = replace(self, stages=tuple(replace(s, figures={}) for s in self.stages))
+        for name, data in sorted(_files(without_figures).items()):
             if name != "provenance.json" and not (name.startswith("policies/") and name.endswith(f"/{CARD}")):
                 digest.update(name.encode() + b"\0" + data)
         return digest.hexdigest()
+
+    def stage(self, recovery: str) -> LearnedStage:
+        """The stage that learned this recovery. Raises LibraryError where there is none."""
+        for stage in self.stages:
+            if stage.recovery == recovery:
+                return stage
+        raise LibraryError(f"the library holds no skill '{recovery}'", RETRAIN)
 
 
 def save_library(library: Library, folder: Path) -> None:
@@ -87,6 +146,7 @@ def save_library(library: Library, folder: Path) -> None:
         "version": VERSION,
         "domain": library.domain,
         "rig_hash": library.rig_hash,
+        "types_hash": library.types_hash,
         "content_hash": library.content_hash,
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())},
     }
@@ -110,12 +170,14 @@ def load_library(folder: Path) -> Library:
     manifest = _read_json(folder, "library.json")
     if not isinstance(manifest, dict) or manifest.get("version") != VERSION:
         found = manifest.get("version") if isinstance(manifest, dict) else None
-        raise LibraryError(f"{folder} is a library of version {found}, this program reads version {VERSION}", RETRAIN)
+        raise LibraryError(
+            f"{folder} is a library of version {found}, this program reads version {VERSION}",
+            f"leave out --library, for the one that comes with the program, or {RETRAIN}",
+        )
     listed = manifest.get("files")
     if not isinstance(listed, dict) or not {
         "domain.pddl",
         "execution.json",
-        "gaussians.json",
         "provenance.json",
     } <= set(listed):
         raise LibraryError(f"{folder / 'library.json'} has no full list of files", RETRAIN)
@@ -137,10 +199,11 @@ def load_library(folder: Path) -> Library:
         domain_pddl=contents["domain.pddl"].decode(),
         predicates=_records(folder, contents, "predicates"),
         skills=_records(folder, contents, "skills"),
-        gaussians=_parse(folder, "gaussians.json", contents["gaussians.json"]),
+        stages=_stages(folder, contents),
         provenance=_parse(folder, "provenance.json", contents["provenance.json"]),
         execution=_parse(folder, "execution.json", contents["execution.json"]),
         policies=_policies(contents),
+        types_hash=str(manifest.get("types_hash", "")),
     )
 
 
@@ -158,9 +221,10 @@ def _files(library: Library) -> dict[str, bytes]:
     contents = {
         "domain.pddl": library.domain_pddl.encode(),
         "execution.json": _json(library.execution),
-        "gaussians.json": _json(library.gaussians),
         "provenance.json": _json(library.provenance),
     }
+    for i, stage in enumerate(library.stages, start=1):
+        contents[f"stages/{i}-{stage.recovery}.json"] = _json(asdict(stage))
     for room, records in (("predicates", library.predicates), ("skills", library.skills)):
         for name, record in records.items():
             contents[f"{room}/{name}.json"] = _json(record.meta)
@@ -170,6 +234,31 @@ def _files(library: Library) -> dict[str, bytes]:
     for skill, files in library.policies.items():
         contents |= {f"policies/{skill}/{name}": data for name, data in files.items()}
     return contents
+
+
+def _stages(folder: Path, contents: Mapping[str, bytes]) -> tuple[LearnedStage, ...]:
+    found: dict[str, LearnedStage] = {}
+    for name in contents:
+        if name.startswith("stages/"):
+            number, _, recovery = name.removeprefix("stages/").removesuffix(".json").partition("-")
+            try:
+                found[number] = _stage(_parse(folder, name, contents[name]), recovery)
+            except ValueError as error:
+                raise LibraryError(f"{folder / name} is no stage: {error}", RETRAIN) from None
+    numbers = [str(i + 1) for i in range(len(found))]
+    if set(found) != set(numbers):
+        raise LibraryError(f"{folder / 'stages'} holds {', '.join(sorted(found))}, and should count from 1", RETRAIN)
+    return tuple(found[n] for n in numbers)
+
+
+def _stage(saved: Any, recovery: str) -> LearnedStage:
+    check_shape(saved, STAGE)
+    failure = LearnedFailure(**{f.name: saved["failure"][f.name] for f in fields(LearnedFailure)})
+    if saved["recovery"] != recovery:
+        raise ValueError(f"it is about {saved['recovery']}")
+    if not failure.objects or not set(failure.objects) == set(failure.before) == set(failure.after):
+        raise ValueError("it does not have a Gaussian before and after for each object of the failure")
+    return LearnedStage(recovery=recovery, scenario=saved["scenario"], failure=failure, figures=saved["figures"])
 
 
 def _policies(contents: Mapping[str, bytes]) -> dict[str, dict[str, bytes]]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 from resync_robot.core.errors import PlanningError
-from resync_robot.core.joints import JointTarget
 from resync_robot.core.symbols import Object, Type
 from resync_robot.core.world import Observation
 
@@ -39,16 +38,22 @@ class Outcome:
         return self.ending is Ending.DONE
 
 
-class Policy(Protocol):
+ObservationT_contra = TypeVar("ObservationT_contra", bound=Observation, contravariant=True)
+ActionT_co = TypeVar("ActionT_co", covariant=True)
+ObservationT = TypeVar("ObservationT", bound=Observation)
+ActionT = TypeVar("ActionT")
+
+
+class Policy(Protocol[ObservationT_contra, ActionT_co]):
     """One run of a ground skill. A new object for each run, so that no state leaks from one to the next."""
 
-    def step(self, observation: Observation) -> JointTarget | Outcome:
-        """The next target, or how the skill ended."""
+    def step(self, observation: ObservationT_contra, /) -> ActionT_co | Outcome:
+        """The next action, or how the skill ended."""
         ...
 
 
 @dataclass(frozen=True)
-class Skill:
+class Skill(Generic[ObservationT, ActionT]):
     """A lifted skill C: signature, policy pi (with its beta inside), control rate.
 
     Attributes:
@@ -56,12 +61,14 @@ class Skill:
         rate_hz: how often `step` wants to be called.
         time_limit_s: after so many s of control steps, at full speed, the executive stops it with TIMEOUT.
         live_state: the skill follows the objects while it runs, and so needs their poses at every step.
-        effort_limit: (6,) N m that the arm may use while it runs, or None for the arm's own limits.
+        effort_limit: (6,) N m that the arm may use while it runs, or None for its own. Only an arm has one.
     """
 
     name: str
     types: tuple[Type, ...]
-    start: Callable[[tuple[Object, ...], Observation], Policy] = field(repr=False, compare=False)
+    start: Callable[[tuple[Object, ...], ObservationT], Policy[ObservationT, ActionT]] = field(
+        repr=False, compare=False
+    )
     rate_hz: float
     time_limit_s: float
     live_state: bool = False

@@ -8,12 +8,11 @@ from jaxtyping import Float
 from resync_robot.core import spatial
 from resync_robot.core.ros_messages import Marker
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object
-from resync_robot.core.vocabulary import BOX, POSE
+from resync_robot.core.symbols import SE3, Object
+from resync_robot.core.vocabulary import BOX
 
 FLOOR = 0.002
 """m; half of how thick the floor of a box is drawn, for nobody measures it."""
-SIZES = ("size_x", "size_y", "size_z")
 LETTERS = 0.03
 """m; height of an object's name."""
 
@@ -25,7 +24,9 @@ def boxes(obj: Object, features: Float[np.ndarray, "f"]) -> tuple[Float[np.ndarr
         ValueError: it has none.
     """
     if obj.type != BOX:
-        return np.zeros((1, 3)), features[None, [obj.type.features.index(name) for name in SIZES]] / 2
+        if not obj.type.extents:
+            raise ValueError(f"{obj.name} has no size")
+        return np.zeros((1, 3)), features[None, [obj.type.features.index(name) for name in obj.type.extents]] / 2
     inner_x, inner_y, wall_z, thick = features[7:11]
     outer_x, outer_y = inner_x + 2 * thick, inner_y + 2 * thick
     slabs = [((0, 0, -FLOOR), (outer_x / 2, outer_y / 2, FLOOR))]
@@ -39,8 +40,7 @@ def scene_markers(state: State, colour: tuple[float, float, float, float], outli
     """All that has a pose and a size, in the world; solid things have their names above them."""
     shown: list[Marker] = []
     for obj in state.objects:
-        known = obj.type.features
-        if known[:7] != POSE or not (obj.type == BOX or set(SIZES) <= set(known)):
+        if obj.type.pose != SE3 or not (obj.type == BOX or obj.type.extents):
             continue
         pose = spatial.pose_from_features(state[obj][:7])
         middles, halves = boxes(obj, state[obj])

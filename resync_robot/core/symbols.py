@@ -6,17 +6,64 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from resync_robot.core.errors import PlanningError
+
+SE2 = ("x", "y", "theta")
+"""Features of a pose in the plane: m, m, rad."""
+SE3 = ("x", "y", "z", "qw", "qx", "qy", "qz")
+"""Features of a pose in space: m, and a unit quaternion."""
+ROUND = 0
+"""The symmetry of what looks the same in every heading."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Type:
-    """A kind of object and the names of its continuous features (x_o in the paper, SI units)."""
+    """A kind of object and the names of its continuous features (x_o in the paper, SI units).
+
+    Types with the same name and features are equal. The rest says what the features mean.
+
+    Attributes:
+        pose: SE3 or SE2, with which the features then begin; None for what has no place.
+        extents: the features that are its full extents along its own axes, x first; empty for what has no body.
+        symmetry: the number of headings, about its own z axis, in which it looks the same: 1, 2 for a bar, 4 for a
+            square (whose extents along x and y are then equal), ROUND for all.
+        exact: its features carry no error of perception, as those of a robot, which it knows from its joints.
+
+    Raises:
+        PlanningError: the declarations contradict the features.
+    """
 
     name: str
     features: tuple[str, ...] = ()
+    pose: tuple[str, ...] | None = field(default=None, compare=False, kw_only=True)
+    extents: tuple[str, ...] = field(default=(), compare=False, kw_only=True)
+    symmetry: int = field(default=1, compare=False, kw_only=True)
+    exact: bool = field(default=False, compare=False, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.pose not in (None, SE2, SE3):
+            raise PlanningError(f"type '{self.name}' has the pose {self.pose}", "declare pose=SE2, SE3 or None")
+        if self.pose is not None and self.features[: len(self.pose)] != self.pose:
+            raise PlanningError(
+                f"the features of type '{self.name}' are ({', '.join(self.features)}) and do not begin with its pose",
+                f"begin them with {', '.join(self.pose)}",
+            )
+        if self.extents and (len(self.extents) != self.dimensions or not set(self.extents) <= set(self.features)):
+            raise PlanningError(
+                f"type '{self.name}' has the extents ({', '.join(self.extents)})",
+                "name one of its features for each axis of its pose, or none",
+            )
+        if self.symmetry < 0 or (self.extents and self.symmetry not in (ROUND, 1, 2, 4)):
+            raise PlanningError(
+                f"type '{self.name}' has the symmetry {self.symmetry}", "declare 1, 2, 4 or ROUND for a body"
+            )
+
+    @property
+    def dimensions(self) -> int:
+        """Of the space that its pose is in: 3, 2, or 0 for what has no place. So many features are its position."""
+        return 0 if self.pose is None else 3 if self.pose == SE3 else 2
 
     def __call__(self, name: str) -> Object:
         return Object(name, self)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from resync_robot.core.errors import PlanningError, UnknownNameError
+from resync_robot.core.embodiment import Embodiment, Stage
+from resync_robot.core.errors import ConfigError, PlanningError, UnknownNameError
+from resync_robot.core.relations import Relation, moved
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, Object, Operator, Predicate, Term, Type
 
@@ -25,43 +28,71 @@ class Task:
     seed: int
 
 
+Sample = Callable[[np.random.Generator, int], Task]
+"""(rng, seed) -> a task; a pure function of the two."""
+
+
+def _as_usual(rng: np.random.Generator, seed: int) -> Task:
+    raise NotImplementedError("Scenario puts its own `sample` in this place")
+
+
 @dataclass(frozen=True)
 class Scenario:
     """A family of tasks. `training` scenarios elicit the failure; the others test generalisation.
 
     Attributes:
-        sample: (rng, seed) -> a task with physics, sizes and looks between the edges of training.
-        sample_practice: the same, at the edges more often: what training draws.
-        sample_unseen: the same, with physics, sizes and looks that training never draws.
+        goal: domain -> what shall hold in the end.
+        sample: a task with physics, sizes and looks between the edges of training.
+        sample_practice: the same, at the edges more often: what training draws. `sample` unless given.
+        sample_unseen: the same, with physics, sizes and looks that training never draws. `sample` unless given.
+        training: whether a stage learns from its failures.
         begins_after: given skills with the names of their objects, which the robot runs before an episode begins: what
             they leave behind is the situation that it is in, such as a block in its hand.
+        after_stage: the stage, from 1, after which it can be expected to succeed; 0: the given model does.
     """
 
     name: str
     description: str
     goal: Callable[[Domain], Atoms]
-    sample: Callable[[np.random.Generator, int], Task]
-    sample_practice: Callable[[np.random.Generator, int], Task]
-    sample_unseen: Callable[[np.random.Generator, int], Task]
+    sample: Sample
+    sample_practice: Sample = _as_usual
+    sample_unseen: Sample = _as_usual
     training: bool = False
     begins_after: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    after_stage: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("sample_practice", "sample_unseen"):
+            if getattr(self, name) is _as_usual:
+                object.__setattr__(self, name, self.sample)
+
+
+def _not_declared(*_: Any) -> Task:
+    raise ConfigError("this domain does not say how its tasks are resampled", "use its `free` instead")
 
 
 @dataclass(frozen=True)
 class Domain:
-    """The initial knowledge: types, given predicates with their classifiers, given operators, scenarios.
+    """The initial knowledge: types, given predicates with their classifiers, given operators, robot, scenarios.
 
     Attributes:
         classifiers: predicate name -> function of (state, objects) -> probability that it holds.
-        recovery: name of the skill to be learned.
-        relocate: (task, object, relative pose, rng) -> the task with that object and the failure object in the
-            relative pose; how failure mining and dreaming resample states.
+        embodiment: how its robot acts, and its simulator.
+        stages: what is to be learned, in order.
+        free: (rng, seed, how many objects of which type) -> a task in which nothing obstructs anything; of a type that
+            is not asked for as many as it takes.
+        world_numbers: scenario -> the number that its worlds of evaluation are drawn with. It has to stay what it is;
+            a scenario without one gets a number by its name.
         dream: (rng, seed, how many objects of the relevant type) -> a task in which all of them begin free.
-        practice: (rng, seed) -> a task with one object somewhere between trapped and free, or covered.
-        expert: (state, goal) -> the skill sequence that a person would give: (skill name, objects) each.
+        practice: (rng, seed) -> a task with one object somewhere between trapped and free, or covered, where the domain
+            knows better than chance what is worth practising.
+        expert: (state, goal) -> the skill sequence that a person gives: (skill name, objects) each.
         instruction: what the recovery does, in a sentence, for datasets and policies that read one.
+        spec: what `find_domain` finds it by in another process, which fills it in; the name of one that comes with the
+            program.
         stacking: two-place predicates that put one thing upon another: a thing is upon one other at most, and never,
             by whatever way round, upon itself. The given model need not know; goals are checked by it.
+        relations: how objects of two types lie beside each other, where the default of `core.relations` does not do.
     """
 
     name: str
@@ -70,13 +101,41 @@ class Domain:
     classifiers: Mapping[str, Callable[[State, tuple[Object, ...]], float]]
     operators: tuple[Operator, ...]
     scenarios: Mapping[str, Scenario]
-    recovery: str
-    relocate: Callable[[Task, Object, tuple[float, float, float], np.random.Generator], Task]
-    dream: Callable[[np.random.Generator, int, int], Task]
-    practice: Callable[[np.random.Generator, int], Task]
-    expert: Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
+    stages: tuple[Stage, ...]
+    embodiment: Embodiment | None = None
+    free: Callable[[np.random.Generator, int, Mapping[Type, int]], Task] | None = None
+    world_numbers: Mapping[str, int] = field(default_factory=dict)
+    dream: Callable[[np.random.Generator, int, int], Task] = _not_declared
+    practice: Sample | None = None
+    expert: Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]] | None = None
     instruction: str = ""
     stacking: tuple[Predicate, ...] = ()
+    relations: Mapping[tuple[Type, Type], Relation] = field(default_factory=dict)
+    spec: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "spec", self.spec or self.name)
+
+    def relocate(self, task: Task, obj: Object, beside: Object, relative: np.ndarray, rng: np.random.Generator) -> Task:
+        """The task with one object beside another as `relative` says, in the columns of their relation: how failure
+        mining and dreaming resample states."""
+        return replace(task, initial=moved(task.initial, obj, beside, relative, rng, self.relations))
+
+    @property
+    def recovery(self) -> str:
+        """The skill that the first stage learns."""
+        return self.stages[0].recovery
+
+    @property
+    def types_hash(self) -> str:
+        """Of the names and features of its types: what was learned of others says nothing here."""
+        words = "; ".join(f"{t.name}({', '.join(t.features)})" for t in sorted(self.types))
+        return hashlib.sha256(words.encode()).hexdigest()[:16]
+
+    def world_number(self, scenario: str) -> int:
+        """What sets the worlds of evaluation of one scenario apart from those of the others, whatever their order."""
+        by_name = int.from_bytes(hashlib.sha256(scenario.encode()).digest()[:8])
+        return self.world_numbers.get(scenario, by_name)
 
     def predicate(self, name: str) -> Predicate:
         for p in self.predicates:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from resync_robot.core import spatial
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object
+from resync_robot.core.symbols import SE3, Object
 
 SAME, SAME_TURN = 1e-3, 0.01
 """m and rad within which a thing did not move."""
@@ -83,6 +83,8 @@ class Tracks:
 
     def _ride(self, i: int, obj: Object) -> _Ride | None:
         """How the thing came from one recorded pose to the next; None where it stayed, or nobody saw how it went."""
+        if obj.type.pose != SE3:
+            return None
         (t0, before), (t1, after) = self._states[i], self._states[i + 1]
         first, last = (spatial.pose_from_features(state[obj][:7]) for state in (before, after))
         turn = spatial.rotation_vector(last[:3, :3] @ first[:3, :3].T)

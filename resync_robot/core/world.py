@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
-from resync_robot.core.joints import JointTarget
 from resync_robot.core.state import State
 
 
@@ -89,37 +88,50 @@ def awaited(thought: Future[Any]) -> bool:
     return True
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Observation:
     """What a skill sees at one control step.
 
     Attributes:
         time: seconds since the episode began.
+        state: the current belief about the objects, the robot's own features always measured.
+        ready: whether a thought that a skill began is finished.
+    """
+
+    time: float
+    state: State
+    ready: Ready = awaited
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmObservation(Observation):
+    """What an arm measures besides.
+
+    Attributes:
         arm: (6,) measured joint positions, rad, order of ARM_JOINTS.
         arm_velocity: (6,) rad/s.
         opening: measured free distance between the pads, m.
         told_opening: what the pads were last told, m: less than `opening` by what makes them hold a block.
         tip_force: (3,) force that the world exerts on the hand, N, world frame, estimated.
-        state: the current belief about the objects, the robot's own features always measured.
         look: takes pictures, where the world has cameras that a skill may look through while it runs.
-        ready: whether a thought that a skill began is finished.
     """
 
-    time: float
     arm: Float[np.ndarray, "6"]
     arm_velocity: Float[np.ndarray, "6"]
     opening: float
     told_opening: float
     tip_force: Float[np.ndarray, "3"]
-    state: State
     look: Look | None = None
-    ready: Ready = awaited
 
 
-class World(Protocol):
-    """A robot among objects."""
+ObservationT_co = TypeVar("ObservationT_co", bound=Observation, covariant=True)
+ActionT_contra = TypeVar("ActionT_contra", contravariant=True)
 
-    def observe(self, live: bool = False) -> Observation:
+
+class World(Protocol[ObservationT_co, ActionT_contra]):
+    """A robot among objects. Its action is a `JointTarget` where it is an arm, else what its domain declares: (n,)."""
+
+    def observe(self, live: bool = False) -> ObservationT_co:
         """The latest measurements; never moves the robot.
 
         Args:
@@ -127,20 +139,25 @@ class World(Protocol):
         """
         ...
 
-    def act(self, target: JointTarget, duration: float) -> None:
-        """Move towards `target` for `duration` seconds."""
+    def act(self, action: ActionT_contra, duration: float, /) -> None:
+        """Do `action` for `duration` seconds."""
         ...
 
     def perceive(self) -> State:
         """A fresh, full estimate of the scene; may move the robot to look around."""
         ...
 
+
+@runtime_checkable
+class EffortLimited(Protocol):
+    """A world whose robot can be told how hard it may press: an arm's."""
+
     def limit_effort(self, limit: tuple[float, ...] | None) -> None:
         """Cap the arm's joint torques at (6,) N m; None restores its own limits."""
         ...
 
 
-class Simulator(World, Protocol):
+class Simulator(World[ObservationT_co, ActionT_contra], Protocol[ObservationT_co, ActionT_contra]):
     """A world whose state can be put back."""
 
     def save(self) -> Any:

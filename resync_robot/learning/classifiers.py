@@ -7,16 +7,17 @@ small matrix products and needs no torch.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import RETRAIN, Record
+from resync_robot.core.relations import DEFAULTS, Relations, Rows, blank
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Type
-from resync_robot.learning.features import Rows, gather, relative_features
+from resync_robot.learning.features import gather, relative_features
 
 KIND = "neural"
 
@@ -26,15 +27,17 @@ class NeuralClassifier:
     """A multilayer perceptron over canonical features, with its normaliser.
 
     Attributes:
-        types: of the predicate's arguments; they decide the features.
+        types: of the predicate's arguments; with `relations` they decide the features.
         mean, scale: (d,) normaliser; features enter as (x - mean) / scale.
         layers: (weight (out, in), bias (out,)) of each layer, GELU (tanh form) between them, one logit at the end.
+        relations: those that the domain declares; they are no part of a record.
     """
 
     types: tuple[Type, ...]
     mean: Float[np.ndarray, " d"]
     scale: Float[np.ndarray, " d"]
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    relations: Relations = field(default_factory=dict)
 
     def __call__(self, state: State, objects: tuple[Object, ...]) -> float:
         return float(self.batch(state, [objects])[0])
@@ -45,7 +48,7 @@ class NeuralClassifier:
 
     def probabilities(self, rows: Sequence[Rows]) -> Float[np.ndarray, " n"]:
         """(n,) probabilities for gathered object features, one array for each argument."""
-        x = ((relative_features(self.types, rows) - self.mean) / self.scale).astype(np.float32)
+        x = ((relative_features(self.types, rows, self.relations) - self.mean) / self.scale).astype(np.float32)
         for i, (weight, bias) in enumerate(self.layers):
             x = x @ weight.T + bias
             if i < len(self.layers) - 1:
@@ -61,8 +64,10 @@ class NeuralClassifier:
         return Record(described, {k: np.asarray(v, dtype=np.float32) for k, v in tensors.items()})
 
     @staticmethod
-    def from_record(name: str, record: Record, types: Mapping[str, Type]) -> NeuralClassifier:
-        """The inverse of `to_record`.
+    def from_record(
+        name: str, record: Record, types: Mapping[str, Type], relations: Relations = DEFAULTS
+    ) -> NeuralClassifier:
+        """The inverse of `to_record`, for the relations that it was trained with.
 
         Raises:
             LibraryError: the normaliser or a layer is missing, or shapes do not fit each other or the features.
@@ -83,7 +88,7 @@ class NeuralClassifier:
         if not isinstance(kinds, list) or not set(kinds) <= set(types) or not isinstance(count, int) or count < 1:
             raise LibraryError(f"the record of {name} names types {kinds} and layers {count}", RETRAIN)
         signature = tuple(types[k] for k in kinds)
-        width = relative_features(signature, [_blank(t) for t in signature]).shape[1]
+        width = relative_features(signature, [blank(t) for t in signature], relations).shape[1]
         mean, scale = tensor("normaliser.mean", width), tensor("normaliser.scale", width)
         layers: list[tuple[np.ndarray, np.ndarray]] = []
         inputs: int = width
@@ -92,16 +97,8 @@ class NeuralClassifier:
             weight = tensor(f"layer{i}.weight", outputs, inputs)
             inputs = weight.shape[0]
             layers.append((weight, tensor(f"layer{i}.bias", inputs)))
-        return NeuralClassifier(signature, mean, scale, tuple(layers))
+        return NeuralClassifier(signature, mean, scale, tuple(layers), relations)
 
 
 def _gelu(x: np.ndarray) -> np.ndarray:
     return 0.5 * x * (1.0 + np.tanh(np.float32(0.7978845608) * (x + np.float32(0.044715) * x * x * x)))
-
-
-def _blank(kind: Type) -> np.ndarray:
-    """One row of features that any feature function accepts."""
-    row = np.zeros((1, len(kind.features)))
-    if "qw" in kind.features:
-        row[0, kind.features.index("qw")] = 1.0
-    return row

@@ -16,17 +16,18 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from resync_robot.core.errors import TrainingError, UnknownNameError
+from resync_robot.core.relations import Relations
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Type, Variable, distinct_products
-from resync_robot.core.trajectory import Trajectory
 from resync_robot.learning.classifiers import NeuralClassifier
-from resync_robot.learning.dataset import Dataset, Step, merged_dataset, variant_dataset
+from resync_robot.learning.dataset import Dataset, StageData, Step, merged_dataset, variant_dataset, variant_name
 from resync_robot.learning.effects import Candidate, affordances, candidates, supervise
 from resync_robot.learning.experience import experience
 from resync_robot.learning.features import gather
 from resync_robot.learning.fit import COMPACT, PAPER, SCREENING, Fit, FitConfig, fit
-from resync_robot.learning.model import Concepts, GivenModel, assemble, quantifications
-from resync_robot.learning.operators import OperatorConfig, evidence, explained_failures
+from resync_robot.learning.model import Concepts, GivenModel, assemble, known_model, quantifications
+from resync_robot.learning.operators import Evidence, OperatorConfig, evidence, explained_failures
 from resync_robot.learning.select import PAPER_J, Concept, SelectConfig, Selector, select
+from resync_robot.learning.tuning import TuneConfig, tune_known
 from resync_robot.planning.abstract import HOLDS, Abstraction, Form, Not
 
 Mode = Literal["default", "paper"]
@@ -54,6 +55,7 @@ class ConceptConfig:
     max_screening_loss_attempts: float = 0.45
     operators: OperatorConfig = field(default_factory=OperatorConfig)
     select: SelectConfig = field(default_factory=SelectConfig)
+    tune: TuneConfig = field(default_factory=TuneConfig)
 
     @staticmethod
     def of(mode: str) -> ConceptConfig:
@@ -66,11 +68,9 @@ class ConceptConfig:
 
 
 def learn_concepts(
-    trajectories: Sequence[Trajectory],
+    stages: Sequence[StageData],
     given: GivenModel,
-    recovery: str,
-    recovery_types: Sequence[Type],
-    failed_skill: str,
+    known: Concepts | None = None,
     mode: str = "default",
     seed: int = 0,
     progress: Progress = lambda what, share: None,
@@ -79,10 +79,10 @@ def learn_concepts(
     """Learn predicates and operators that let the planner use the recovery skill ahead of failure.
 
     Args:
-        trajectories: dreams (successful and failed attempts) and single attempts (`source` "attempt").
-        given: types, predicates with classifiers, operators known before.
-        recovery, recovery_types: name and signature of the new skill.
-        failed_skill: the skill whose failure the recovery mends.
+        stages: the data of all stages so far. The last one is new; that of earlier ones keeps what they taught: from
+            the new data alone a condition that none of its failures shows would be forgotten.
+        given: types, predicates with classifiers, operators of the domain.
+        known: what the earlier stages learned.
         progress: called with what is going on and the share of it done.
 
     Raises:
@@ -90,59 +90,81 @@ def learn_concepts(
     """
     config = config or ConceptConfig.of(mode)
     start = time.perf_counter()
-    signatures = {op.name: tuple(v.type for v in op.parameters) for op in given.operators}
-    if failed_skill not in signatures:
-        raise UnknownNameError("failed skill", failed_skill, list(signatures))
-    signatures[recovery] = tuple(recovery_types)
+    before, new = known_model(given, known), stages[-1]
+    real = {op.name: tuple(v.type for v in op.parameters) for op in before.operators}
+    for s in stages:
+        if s.failed_skill not in real:
+            raise UnknownNameError("failed skill", s.failed_skill, list(real))
+        real[s.recovery] = tuple(s.recovery_types)
+    recoveries = [s.recovery for s in stages]
     view = merged_dataset if config.mode == "default" else variant_dataset
-    dataset = view(trajectories, recovery, signatures)
-    after = _skill_after(dataset, recovery)
-    failing = failed_skill if config.mode == "default" else f"{failed_skill}_{recovery}"
-    affected = [s for s in (recovery, failing, after) if s in dataset.signatures]
-
-    parameters = _parameters(dataset.signatures, given.operators)
-    judge = Abstraction(given.predicates, given.classifiers)
-    truth = [judge.true_atoms(dataset.state_at(m)) for m in range(len(dataset.moments))]
-    columns = [evidence(dataset, truth, p, parameters, learned=False) for p in judge.predicates]
+    dataset = view([s.trajectories for s in stages], recoveries, real)
+    parameters = _parameters(dataset.signatures, before.operators)
+    truth, columns = _judged(before, dataset, parameters)
+    tuned: list[dict[str, Any]] = []
+    if before.records:
+        progress("fine-tuning what is known", 0.0)
+        before, tuned = tune_known(before, dataset, truth, columns, recoveries, seed, config.fit, config.tune)
+        truth, columns = _judged(before, dataset, parameters)
     pool = _Pool(dataset, parameters)
-    for predicate in judge.predicates:
-        pool.add_given(predicate, truth)
+    pool.add_known(sorted(before.predicates), truth)
     explained = explained_failures(dataset, [*columns, *(c.evidence for c in pool.concepts)])
+    # What an earlier recovery mended is not what the new one is about.
+    explained |= {f for run in dataset.runs for f in run.failures if f.mended_by in recoveries[:-1]}
 
-    proposals = candidates(recovery, affected, dataset.signatures)
-    if config.mode == "default":
-        attempted = {step.skill for run in dataset.runs for step in (*run.steps, *run.failures)}
-        tried = [op.name for op in given.operators if op.name in attempted]
-        proposals += affordances(recovery, tried, dataset.signatures)
-    kept, log = _train(dataset, proposals, explained, config, seed, progress)
-    # A candidate that attempts label supersedes the one with the same effects whose boundary is left to luck.
-    better = {(c.types, c.effects) for c, _ in kept if c.attempts is not None}
-    kept = [(c, f) for c, f in kept if c.attempts is not None or (c.types, c.effects) not in better]
-    # The preferred ones first: of concepts that always agree only the first is pooled.
-    for candidate, fitted in sorted(
-        kept, key=lambda pair: (pair[0].attempts is None, len(pair[0].effects), pair[1].loss)
-    ):
+    proposals = _proposals(dataset, new, before.operators, config.mode)
+    kept, log = _train(dataset, proposals, explained, config, seed, given.relations, progress)
+    for candidate, fitted in kept:
         pool.add_learned(candidate, fitted)
     selector = Selector(
-        dataset, truth, columns, parameters, {op.name: op for op in given.operators}, config.select, config.operators
+        dataset, truth, columns, parameters, {op.name: op for op in before.operators}, config.select, config.operators
     )
     selection = select(selector, pool.concepts, progress)
     progress("concepts learned", 1.0)
     report = {
         "mode": config.mode,
         "seed": seed,
+        "tuned": tuned,
         "candidates": log,
         "pool": len(pool.concepts),
         "demonstrations": len(selector.demonstrations),
         "failed_attempts": len(selector.failures),
         "explained_failures": len(explained),
-        "variants": {s: failed_skill for s in dataset.signatures if s not in signatures},
+        "variants": _variants(dataset, real, recoveries),
         "seconds": round(time.perf_counter() - start, 2),
     }
-    concepts = assemble(given, selection, pool.concepts, report)
+    concepts = assemble(given, before, columns, selection, pool.concepts, len(stages), report)
     learned = Abstraction(concepts.predicates, concepts.classifiers)
-    gone = experience(trajectories, learned, concepts.operators)
+    gone = experience((t for s in stages for t in s.trajectories), learned, concepts.operators)
     return replace(concepts, report={**concepts.report, "experience": gone})
+
+
+def _judged(
+    model: Concepts, dataset: Dataset, parameters: Mapping[str, tuple[Variable, ...]]
+) -> tuple[list[Atoms], list[Evidence]]:
+    """For each moment the atoms of known predicates that hold, and the columns of each predicate in their order."""
+    judge = Abstraction(model.predicates, model.classifiers)
+    truth = [judge.true_atoms(dataset.state_at(m)) for m in range(len(dataset.moments))]
+    # Learned is what has a record, in whichever stage that was, and not what is new in this one.
+    return truth, [evidence(dataset, truth, p, parameters, p.name in model.records) for p in judge.predicates]
+
+
+def _variants(dataset: Dataset, skills: Collection[str], recoveries: Sequence[str]) -> dict[str, str]:
+    """The published formulation's skills that fail on purpose, and the skill that each of them is."""
+    named = {variant_name(s, r): s for s in skills for r in recoveries}
+    return {variant: skill for variant, skill in named.items() if variant in dataset.signatures}
+
+
+def _proposals(dataset: Dataset, new: StageData, operators: Sequence[Operator], mode: Mode) -> list[Candidate]:
+    """The candidates of a stage: effect vectors, and where failures count what the attempts of each skill label."""
+    published = variant_name(new.failed_skill, new.recovery)
+    around = (new.recovery, new.failed_skill if mode == "default" else published, _skill_after(dataset, new.recovery))
+    proposals = candidates(new.recovery, [s for s in around if s in dataset.signatures], dataset.signatures)
+    if mode == "default":
+        attempted = {step.skill for run in dataset.runs for step in (*run.steps, *run.failures)}
+        tried = [op.name for op in operators if op.name in attempted]
+        proposals += affordances(new.recovery, tried, dataset.signatures)
+    return proposals
 
 
 def _skill_after(dataset: Dataset, recovery: str) -> str:
@@ -163,9 +185,15 @@ def _train(
     explained: Collection[Step],
     config: ConceptConfig,
     seed: int,
+    relations: Relations,
     progress: Progress,
 ) -> tuple[list[tuple[Candidate, Fit]], list[dict[str, Any]]]:
-    """Contradictions out, a small net for each that is left, the full one where the small one fits."""
+    """Contradictions out, a small net for each that is left, the full one where the small one fits.
+
+    Returns:
+        What fits, the preferred ones first: of concepts that always agree only the first is pooled. And what became of
+        each.
+    """
     kept: list[tuple[Candidate, Fit]] = []
     log: list[dict[str, Any]] = []
     for i, candidate in enumerate(proposals):
@@ -179,7 +207,7 @@ def _train(
             continue
         labelled = candidate.attempts is not None
         try:
-            small = fit(dataset, candidate, supervision, seed + i, config.screening)
+            small = fit(dataset, candidate, supervision, seed + i, config.screening, relations)
         except TrainingError as error:
             entry["verdict"] = error.what
             continue
@@ -187,14 +215,17 @@ def _train(
         if small.loss > (config.max_screening_loss_attempts if labelled else config.max_screening_loss):
             entry["verdict"] = "does not fit (small net)"
             continue
-        result = fit(dataset, candidate, supervision, seed + i, config.fit)
+        result = fit(dataset, candidate, supervision, seed + i, config.fit, relations)
         entry |= {"train_loss": round(result.train_loss, 4), "loss": round(result.loss, 4)}
         entry["accuracy"] = round(result.accuracy, 4)
         fits = result.accuracy >= config.min_accuracy if labelled else result.loss <= config.max_loss
         entry["verdict"] = "kept" if fits else "does not fit"
         if fits:
             kept.append((candidate, result))
-    return kept, log
+    # A candidate that attempts label supersedes the one with the same effects whose boundary is left to luck.
+    better = {(c.types, c.effects) for c, _ in kept if c.attempts is not None}
+    kept = [(c, f) for c, f in kept if c.attempts is not None or (c.types, c.effects) not in better]
+    return sorted(kept, key=lambda pair: (pair[0].attempts is None, len(pair[0].effects), pair[1].loss)), log
 
 
 def _parameters(signatures: Mapping[str, Sequence[Type]], given: Sequence[Operator]) -> dict[str, tuple[Variable, ...]]:
@@ -221,13 +252,19 @@ class _Pool:
         self.concepts: list[Concept] = []
         self._seen: set[tuple[tuple[Type, ...], tuple[frozenset[tuple[Object, ...]], ...]]] = set()
 
-    def add_given(self, predicate: Predicate, truth: Sequence[Atoms]) -> None:
-        """The forms of a given predicate, which is in the model anyway."""
-        table = [
-            {args: float(predicate(*args) in held) for args in _groundings(predicate.types, self.dataset, m)}
-            for m, held in enumerate(truth)
-        ]
-        self._add(predicate, table, None, None)
+    def add_known(self, predicates: Sequence[Predicate], truth: Sequence[Atoms]) -> None:
+        """The forms of known predicates, which are in the model anyway."""
+        tables: list[list[Table]] = []
+        for predicate in predicates:
+            table = [
+                {args: float(predicate(*args) in held) for args in _groundings(predicate.types, self.dataset, m)}
+                for m, held in enumerate(truth)
+            ]
+            # All of them first: a known predicate that is a form of another one is no new concept.
+            self._seen.add((predicate.types, _held(table)))
+            tables.append(table)
+        for predicate, table in zip(predicates, tables, strict=True):
+            self._add(predicate, table, None, None)
 
     def add_learned(self, candidate: Candidate, fitted: Fit) -> None:
         """A candidate with its classifier, and its forms."""
@@ -240,7 +277,7 @@ class _Pool:
         for predicate, form in members:
             if form is not None:
                 tables[predicate.name] = _derive(form, predicate, tables[form.base.name], self.dataset)
-            held = tuple(frozenset(args for args, p in t.items() if p > HOLDS) for t in tables[predicate.name])
+            held = _held(tables[predicate.name])
             if (predicate.types, held) in self._seen:
                 continue
             self._seen.add((predicate.types, held))
@@ -249,6 +286,11 @@ class _Pool:
             truth: tuple[Atoms, ...] = tuple(frozenset(predicate(*args) for args in h) for h in held)
             columns = evidence(self.dataset, truth, predicate, self.parameters, learned=True)
             self.concepts.append(Concept(predicate, form, base, candidate, fitted, truth, columns))
+
+
+def _held(table: Sequence[Table]) -> tuple[frozenset[tuple[Object, ...]], ...]:
+    """For each moment the groundings that hold."""
+    return tuple(frozenset(args for args, p in at.items() if p > HOLDS) for at in table)
 
 
 def probabilities(classifier: NeuralClassifier, dataset: Dataset) -> list[Table]:

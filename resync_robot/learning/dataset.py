@@ -6,7 +6,7 @@ the next one are the same moment, and so are the states around a failed attempt 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from resync_robot.core.errors import TrainingError
@@ -18,14 +18,35 @@ ATTEMPT = "attempt"
 """Source of trajectories that try one skill and aim at nothing."""
 
 
+@dataclass(frozen=True)
+class StageData:
+    """What one stage adds to the data.
+
+    Attributes:
+        recovery, recovery_types: name and signature of the skill that it learned.
+        failed_skill: the skill whose failure the recovery mends.
+        trajectories: dreams (successful and failed attempts) and single attempts (`source` "attempt").
+    """
+
+    recovery: str
+    recovery_types: tuple[Type, ...]
+    failed_skill: str
+    trajectories: Sequence[Trajectory]
+
+
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One attempt of a skill, between two moments (indices into `Dataset.moments`)."""
+    """One attempt of a skill, between two moments (indices into `Dataset.moments`).
+
+    Attributes:
+        mended_by: of a failed attempt the recovery that mended it; empty where none did.
+    """
 
     skill: str
     objects: tuple[Object, ...]
     before: int
     after: int
+    mended_by: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +57,7 @@ class Run:
         steps: successful attempts in order; where the trajectory is solved they are the demonstration.
         failures: attempts that failed (`after` is the moment that followed).
         first: the moment the trajectory starts from.
+        stage: whose data it belongs to, from 1.
     """
 
     steps: tuple[Step, ...]
@@ -45,6 +67,7 @@ class Run:
     solved: bool
     source: str
     objects: tuple[Object, ...]
+    stage: int
 
 
 @dataclass(frozen=True)
@@ -66,51 +89,60 @@ class Dataset:
 
 
 def merged_dataset(
-    trajectories: Sequence[Trajectory], recovery: str, signatures: Mapping[str, tuple[Type, ...]]
+    stages: Sequence[Sequence[Trajectory]], recoveries: Collection[str], signatures: Mapping[str, tuple[Type, ...]]
 ) -> Dataset:
     """The default view: a failed attempt and the recovery after it are one use of the recovery skill.
 
     The recovery then means "approach until the failure detector fires, then recover", it starts from the state in
     which the attempt began, and no symbol is spent on failing on purpose. Failed attempts stay as labels.
     """
-    builder = _Builder(signatures)
-    for t in trajectories:
-        builder.add(t, [(x, x.skill) for x in t.transitions], recovery)
+    builder = _Builder(signatures, recoveries)
+    for stage, t in _numbered(stages):
+        builder.add(t, [(x, x.skill) for x in t.transitions], stage)
     return builder.dataset()
 
 
 def variant_dataset(
-    trajectories: Sequence[Trajectory], recovery: str, signatures: Mapping[str, tuple[Type, ...]]
+    stages: Sequence[Sequence[Trajectory]], recoveries: Collection[str], signatures: Mapping[str, tuple[Type, ...]]
 ) -> Dataset:
     """The published view: a failed attempt that a recovery follows is a skill of its own, `FAILED_RECOVERY`.
 
     Only solved trajectories count, and attempts that failed for good are left out.
     """
     known = dict(signatures)
-    builder = _Builder(known)
-    for t in trajectories:
+    builder = _Builder(known, recoveries)
+    for stage, t in _numbered(stages):
         if not t.solved or t.source == ATTEMPT:
             continue
         named: list[tuple[Transition, str]] = []
         for x, following in zip(t.transitions, [*t.transitions[1:], None], strict=True):
             if x.succeeded:
                 named.append((x, x.skill))
-            elif following is not None and following.skill == recovery and following.succeeded:
-                variant = f"{x.skill}_{recovery}"
+            elif following is not None and following.skill in recoveries and following.succeeded:
+                variant = variant_name(x.skill, following.skill)
                 known[variant] = known[x.skill]
                 named.append((Transition(x.before, variant, x.objects, x.after, True), variant))
-        builder.add(Trajectory(tuple(x for x, _ in named), t.goal, True, t.source), named, recovery)
+        builder.add(Trajectory(tuple(x for x, _ in named), t.goal, True, t.source), named, stage)
     return builder.dataset()
 
 
+def variant_name(failed_skill: str, recovery: str) -> str:
+    """The published view's name for an attempt that this recovery follows."""
+    return f"{failed_skill}_{recovery}"
+
+
+def _numbered(stages: Sequence[Sequence[Trajectory]]) -> Iterator[tuple[int, Trajectory]]:
+    return ((n, t) for n, trajectories in enumerate(stages, start=1) for t in trajectories)
+
+
 class _Builder:
-    def __init__(self, signatures: Mapping[str, tuple[Type, ...]]) -> None:
-        self.signatures = signatures
+    def __init__(self, signatures: Mapping[str, tuple[Type, ...]], recoveries: Collection[str]) -> None:
+        self.signatures, self.recoveries = signatures, recoveries
         self.states: list[State] = []
         self.moments: list[list[int]] = []
         self.runs: list[Run] = []
 
-    def add(self, t: Trajectory, transitions: Sequence[tuple[Transition, str]], recovery: str) -> None:
+    def add(self, t: Trajectory, transitions: Sequence[tuple[Transition, str]], stage: int) -> None:
         if not transitions:
             return
         steps: list[Step] = []
@@ -126,11 +158,11 @@ class _Builder:
                 steps.append(Step(skill, x.objects, now, after))
                 now = after
                 continue
-            mended = i + 1 < len(transitions) and transitions[i + 1][1] == recovery and transitions[i + 1][0].succeeded
-            after = now if mended else self._moment(x.after)
-            failures.append(Step(skill, x.objects, now, after))
+            mended_by = next((s for y, s in transitions[i + 1 : i + 2] if s in self.recoveries and y.succeeded), "")
+            after = now if mended_by else self._moment(x.after)
+            failures.append(Step(skill, x.objects, now, after, mended_by))
             now = after
-        self.runs.append(Run(tuple(steps), tuple(failures), first, t.goal, t.solved, t.source, t.objects))
+        self.runs.append(Run(tuple(steps), tuple(failures), first, t.goal, t.solved, t.source, t.objects, stage))
 
     def _moment(self, state: State) -> int:
         self.moments.append([])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from resync_robot.core.errors import TrainingError
-from resync_robot.core.symbols import Object
+from resync_robot.core.relations import DEFAULTS, Relations
+from resync_robot.core.symbols import Object, Type
 from resync_robot.learning.classifiers import NeuralClassifier
 from resync_robot.learning.dataset import Dataset
 from resync_robot.learning.effects import Candidate, Supervision
-from resync_robot.learning.features import gather, perturb, relative_features
+from resync_robot.learning.features import Rows, gather, perturb, relative_features
 
 VALIDATION_SHARE = 0.2
 
@@ -84,8 +86,11 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class _Examples:
-    """Index arrays into the rows. `groups` is (m, k): the label is about the least likely atom of each group."""
+class Examples:
+    """Labels and invariances as index arrays into the rows.
+
+    `groups` is (m, k): the label is about the least likely atom of each group.
+    """
 
     groups: np.ndarray
     values: np.ndarray
@@ -96,28 +101,29 @@ class _Examples:
     pair_run: np.ndarray
 
 
-def fit(dataset: Dataset, candidate: Candidate, supervision: Supervision, seed: int, config: FitConfig = PAPER) -> Fit:
+def fit(
+    dataset: Dataset,
+    candidate: Candidate,
+    supervision: Supervision,
+    seed: int,
+    config: FitConfig = PAPER,
+    relations: Relations = DEFAULTS,
+) -> Fit:
     """Train one classifier; the same seed gives the same weights on one machine.
 
     Raises:
         TrainingError: the data force no value, or only one, so there is nothing to tell apart.
     """
-    keys, examples = _index(dataset, supervision, candidate.attempts is not None, config)
+    rows, examples = examples_of(dataset, candidate, supervision, config)
     if len(set(examples.values.tolist())) < 2:
         raise TrainingError(f"nothing tells true from false for the candidate {candidate}")
-    rows = gather([dataset.states[s] for s, _ in keys], [args for _, args in keys])
     rng = np.random.default_rng(seed)
     held_out = _held_out(examples, len(dataset.runs), rng)
-    clean = relative_features(candidate.types, rows)
+    clean = relative_features(candidate.types, rows, relations)
     mean, scale = clean.mean(0), clean.std(0)
     # What hardly varies is left at its size: dividing by a spread near zero would blow up its noise.
     scale = np.where(scale < 1e-4, 1.0, scale)
-
-    def inputs() -> Tensor:
-        typed = zip(candidate.types, rows, strict=True)
-        noisy = [perturb(kind, r, rng, config.position_m, config.angle) for kind, r in typed]
-        return torch.from_numpy(((relative_features(candidate.types, noisy) - mean) / scale).astype(np.float32))
-
+    inputs = partial(noisy_inputs, candidate.types, rows, mean, scale, rng, config, relations)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         net = _network(clean.shape[1], config.widths)
@@ -127,16 +133,17 @@ def fit(dataset: Dataset, candidate: Candidate, supervision: Supervision, seed: 
     x = inputs()
     with torch.no_grad():
         logits = net(x)[:, 0]
-        train = float(_loss(logits, examples, ~held_out[examples.label_run], ~held_out[examples.pair_run]))
+        train = float(loss_of(logits, examples, ~held_out[examples.label_run], ~held_out[examples.pair_run]))
     accuracy = _balanced_accuracy(logits.numpy(), examples, held_out[examples.label_run] & examples.direct)
-    layers = _folded(net)
-    classifier = NeuralClassifier(candidate.types, mean.astype(np.float32), scale.astype(np.float32), layers)
+    layers = folded(net)
+    normaliser = mean.astype(np.float32), scale.astype(np.float32)
+    classifier = NeuralClassifier(candidate.types, *normaliser, layers, relations)
     return Fit(classifier, train, best_loss, accuracy)
 
 
 def _train(
     net: nn.Sequential,
-    examples: _Examples,
+    examples: Examples,
     held_out: np.ndarray,
     inputs: Callable[[], Tensor],
     rng: np.random.Generator,
@@ -146,8 +153,7 @@ def _train(
     optimiser = torch.optim.AdamW(net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
     label_pool = np.flatnonzero(~held_out[examples.label_run])
     pair_pool = np.flatnonzero(~held_out[examples.pair_run])
-    steps = max(config.min_steps_per_epoch, -(-min(len(label_pool), config.labels_per_epoch) // config.batch))
-    steps = max(1, min(steps, len(label_pool) // 8))
+    steps = steps_in_epoch(len(label_pool), config)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, config.learning_rate, config.epochs * steps)
     best, best_loss = copy.deepcopy(net.state_dict()), float("inf")
     check = inputs()
@@ -156,33 +162,70 @@ def _train(
     logits_of_all = torch.zeros(len(check))
     for _ in range(config.epochs):
         x = inputs()
-        net.train()
-        labels = np.array_split(rng.permutation(label_pool)[: config.labels_per_epoch], steps)
-        pairs = np.array_split(rng.permutation(pair_pool)[: config.pairs_per_epoch], steps)
-        for some_labels, some_pairs in zip(labels, pairs, strict=True):
-            groups = examples.groups[some_labels]
-            index = np.concatenate([groups.reshape(-1), examples.pairs[some_pairs].reshape(-1)])
-            logits = net(x[index])[:, 0]
-            told = logits[: groups.size].reshape(groups.shape).amin(1)
-            loss = _cross_entropy(told, examples, some_labels) + _divergence(logits[groups.size :].reshape(-1, 2))
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
+        labels = rng.permutation(label_pool)[: config.labels_per_epoch]
+        pairs = rng.permutation(pair_pool)[: config.pairs_per_epoch]
+        train_epoch(net, optimiser, schedule, x, examples, labels, pairs, steps)
         net.eval()
         with torch.no_grad():
             logits_of_all[judged] = net(check[judged])[:, 0]
-            now = float(_loss(logits_of_all, examples, val_labels, val_pairs))
+            now = float(loss_of(logits_of_all, examples, val_labels, val_pairs))
         if now < best_loss:
             # A deep copy: a plain dict of the state would alias the weights that go on training.
             best, best_loss = copy.deepcopy(net.state_dict()), now
     return best, best_loss
 
 
-def _index(
-    dataset: Dataset, supervision: Supervision, attempts: bool, config: FitConfig
-) -> tuple[list[tuple[int, tuple[Object, ...]]], _Examples]:
-    """Rows are (state, arguments); a moment seen in several states gives each of them the label."""
+def steps_in_epoch(labels: int, config: FitConfig) -> int:
+    """Into how many batches so many labels are cut."""
+    steps = max(config.min_steps_per_epoch, -(-min(labels, config.labels_per_epoch) // config.batch))
+    return max(1, min(steps, labels // 8))
+
+
+def train_epoch(
+    net: nn.Module,
+    optimiser: torch.optim.Optimizer,
+    schedule: torch.optim.lr_scheduler.LRScheduler,
+    x: Tensor,
+    examples: Examples,
+    labels: np.ndarray,
+    pairs: np.ndarray,
+    steps: int,
+) -> None:
+    """So many steps of gradient descent over these labels and pairs, by index."""
+    net.train()
+    for some_labels, some_pairs in zip(np.array_split(labels, steps), np.array_split(pairs, steps), strict=True):
+        groups = examples.groups[some_labels]
+        index = np.concatenate([groups.reshape(-1), examples.pairs[some_pairs].reshape(-1)])
+        logits = net(x[index])[:, 0]
+        told = logits[: groups.size].reshape(groups.shape).amin(1)
+        loss = _cross_entropy(told, examples, some_labels) + _divergence(logits[groups.size :].reshape(-1, 2))
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+
+
+def noisy_inputs(
+    types: Sequence[Type],
+    rows: Sequence[Rows],
+    mean: np.ndarray,
+    scale: np.ndarray,
+    rng: np.random.Generator,
+    config: FitConfig,
+    relations: Relations,
+) -> Tensor:
+    """(n, d) normalised features of the rows with a new pose error."""
+    noisy = [perturb(kind, r, rng, config.position_m, config.angle) for kind, r in zip(types, rows, strict=True)]
+    return torch.from_numpy(((relative_features(types, noisy, relations) - mean) / scale).astype(np.float32))
+
+
+def examples_of(
+    dataset: Dataset, candidate: Candidate, supervision: Supervision, config: FitConfig
+) -> tuple[tuple[Rows, ...], Examples]:
+    """Features of the arguments, one array each, and what is said of these rows.
+
+    A row is a state with arguments; a moment seen in several states gives each of them the label.
+    """
     keys: dict[tuple[int, tuple[Object, ...]], int] = {}
 
     def row(state: int, args: tuple[Object, ...]) -> int:
@@ -204,7 +247,7 @@ def _index(
         pair_run.append(same.run)
     weight = np.array(weights, dtype=np.float32)
     value = np.array(values, dtype=np.float32)
-    if attempts:
+    if candidate.attempts is not None:
         # As often as they happened: at the boundary that is what decides. To weigh both values alike in total would
         # move it well into what works, since failures are few.
         weight[value == 0.0] *= config.caution
@@ -212,7 +255,8 @@ def _index(
         for v in (0.0, 1.0):
             if (total := weight[value == v].sum()) > 0:
                 weight[value == v] *= len(weight) / 2 / total
-    return list(keys), _Examples(
+    rows = gather([dataset.states[s] for s, _ in keys], [args for _, args in keys])
+    return rows, Examples(
         np.array(groups, dtype=np.int64).reshape(-1, most),
         value,
         weight,
@@ -223,7 +267,7 @@ def _index(
     )
 
 
-def _held_out(examples: _Examples, runs: int, rng: np.random.Generator) -> np.ndarray:
+def _held_out(examples: Examples, runs: int, rng: np.random.Generator) -> np.ndarray:
     """(runs,) mask of validation trajectories, shuffled; both sides keep labels of both values."""
     for _ in range(50):
         mask = np.zeros(runs, dtype=bool)
@@ -241,7 +285,7 @@ def _network(inputs: int, widths: Sequence[int]) -> nn.Sequential:
     return nn.Sequential(*layers, nn.Linear(widths[-1], 1))
 
 
-def _folded(net: nn.Sequential) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def folded(net: nn.Sequential) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Linear layers with the batch normalisation after them folded in."""
     result: list[tuple[np.ndarray, np.ndarray]] = []
     for module in net:
@@ -255,7 +299,7 @@ def _folded(net: nn.Sequential) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     return tuple(result)
 
 
-def _cross_entropy(logits: Tensor, examples: _Examples, which: np.ndarray) -> Tensor:
+def _cross_entropy(logits: Tensor, examples: Examples, which: np.ndarray) -> Tensor:
     values = torch.from_numpy(examples.values[which])
     weights = torch.from_numpy(examples.weights[which])
     losses = functional.binary_cross_entropy_with_logits(logits, values, reduction="none")
@@ -272,13 +316,13 @@ def _divergence(pairs: Tensor) -> Tensor:
     return kl.mean()
 
 
-def _loss(logits: Tensor, examples: _Examples, labels: np.ndarray, pairs: np.ndarray) -> Tensor:
+def loss_of(logits: Tensor, examples: Examples, labels: np.ndarray, pairs: np.ndarray) -> Tensor:
     which = np.flatnonzero(labels)
     told = logits[examples.groups[which]].amin(1)
     return _cross_entropy(told, examples, which) + _divergence(logits[examples.pairs[pairs]])
 
 
-def _balanced_accuracy(logits: np.ndarray, examples: _Examples, which: np.ndarray) -> float:
+def _balanced_accuracy(logits: np.ndarray, examples: Examples, which: np.ndarray) -> float:
     said = logits[examples.groups[which]].min(1) > 0
     truth = examples.values[which] > 0.5
     shares = [float((said[truth == v] == v).mean()) for v in (False, True) if (truth == v).any()]

@@ -8,11 +8,18 @@ from typing import Any, Protocol
 
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import RETRAIN, Record
+from resync_robot.core.relations import Relations
 from resync_robot.core.symbols import Atom, Atoms, Operator, Predicate, Type
 from resync_robot.learning.classifiers import KIND, NeuralClassifier
+from resync_robot.learning.effect_vectors import (
+    candidate_from_json,
+    candidate_to_json,
+    effects_to_json,
+    stated_effects,
+)
 from resync_robot.learning.effects import Candidate
 from resync_robot.learning.fit import Fit
-from resync_robot.learning.operators import Column
+from resync_robot.learning.operators import Column, Evidence
 from resync_robot.learning.select import Concept, Selection
 from resync_robot.planning.abstract import Classifier, Exists, ForAll, Form, Not, form_from_json, form_to_json
 from resync_robot.planning.pddl import domain_from_pddl, domain_to_pddl
@@ -33,6 +40,8 @@ class GivenModel(Protocol):
     def classifiers(self) -> Mapping[str, Classifier]: ...
     @property
     def operators(self) -> tuple[Operator, ...]: ...
+    @property
+    def relations(self) -> Relations: ...
 
 
 @dataclass(frozen=True)
@@ -42,11 +51,12 @@ class Concepts:
     Attributes:
         predicates: given and learned.
         classifiers: predicate name -> classifier or derived form, given ones included.
-        records: learned predicates as library records.
-        report: what was tried, kept and why; plain data. `affordance_of[skill]` is {"predicate", "argument"}: the
-            learned predicate that the skill needs, and which of the skill's parameters it is about. After the skill
-            failed on an object, that atom is to be held false until a recovery. `experience` is that of
-            `learning.experience`.
+        records: learned predicates as library records: `stage` in which it was learned (from 1), `effects` ({skill:
+            [[slots, sign], ...]}), and `attempts` where those label it. A predicate is learned where it has a record.
+        report: what was tried, kept and why; plain data. `affordances_of[skill]` lists {"predicate", "argument"}: the
+            learned predicates that the skill needs, that which excludes most of its failures first, and which of the
+            skill's parameters each is about. After the skill failed on an object, one of these atoms is to be held
+            false until a recovery. `experience` is that of `learning.experience`.
     """
 
     predicates: tuple[Predicate, ...]
@@ -66,21 +76,20 @@ class _Named:
     fit: Fit | None
 
 
-def load_concepts(
-    domain_pddl: str, records: Mapping[str, Record], types: Mapping[str, Type], given: Mapping[str, Classifier]
-) -> tuple[tuple[Predicate, ...], dict[str, Classifier | Form], tuple[Operator, ...]]:
-    """(predicates, classifiers, operators) from the texts and records of a library.
+def load_concepts(domain_pddl: str, records: Mapping[str, Record], given: GivenModel) -> Concepts:
+    """The model that a library holds, from its texts and records.
 
-    Args:
-        given: classifiers of the predicates that are not learned.
+    What the domain was given since the library was learned, a predicate or a skill with its operator, comes with it.
 
     Raises:
         LibraryError: a predicate of the domain has neither a given classifier nor a readable record.
         PlanningError: the PDDL text is malformed.
     """
+    types = {t.name: t for t in given.types}
     predicates, operators = domain_from_pddl(domain_pddl, types)
+    signatures = {op.name: tuple(v.type for v in op.parameters) for op in operators}
     by_name = {p.name: p for p in predicates}
-    classifiers: dict[str, Classifier | Form] = dict(given)
+    classifiers: dict[str, Classifier | Form] = {p.name: given.classifiers[p.name] for p in given.predicates}
     for name, record in records.items():
         if name not in by_name:
             raise LibraryError(f"domain.pddl declares no predicate '{name}', but there is a record of it", RETRAIN)
@@ -89,47 +98,76 @@ def load_concepts(
             continue
         if record.meta.get("kind") != KIND:
             raise LibraryError(f"the record of {name} is of kind {record.meta.get('kind')!r}", RETRAIN)
-        classifier = NeuralClassifier.from_record(name, record, types)
+        classifier = NeuralClassifier.from_record(name, record, types, given.relations)
         if classifier.types != by_name[name].types:
             raise LibraryError(f"domain.pddl and the record of {name} disagree about its types", RETRAIN)
+        try:
+            candidate_from_json(record.meta, classifier.types, signatures)
+        except ValueError as error:
+            raise LibraryError(f"the record of {name} has no effect vector: {error}", RETRAIN) from None
         classifiers[name] = classifier
     missing = sorted(set(by_name) - set(classifiers))
     if missing:
         raise LibraryError(f"no classifier for {', '.join(missing)}", RETRAIN)
-    return predicates, classifiers, operators
+    return known_model(given, Concepts(predicates, classifiers, operators, records, {}))
+
+
+def known_model(given: GivenModel, learned: Concepts | None) -> Concepts:
+    """What is known before a stage: the domain's own model, and what earlier stages learned beside and over it."""
+    if learned is None:
+        return Concepts(given.predicates, given.classifiers, given.operators, {}, {})
+    names = {p.name for p in learned.predicates} | {o.name for o in learned.operators}
+    return replace(
+        learned,
+        predicates=(*learned.predicates, *(p for p in given.predicates if p.name not in names)),
+        classifiers={**given.classifiers, **learned.classifiers},
+        operators=(*learned.operators, *(o for o in given.operators if o.name not in names)),
+    )
 
 
 def assemble(
     given: GivenModel,
+    known: Concepts,
+    known_evidence: Sequence[Evidence],
     selection: Selection,
     pool: Sequence[Concept],
+    stage: int,
     report: Mapping[str, Any],
 ) -> Concepts:
-    """Name what was selected, add the predicates it derives from, and write it all down.
+    """Name what was selected, add the predicates it derives from, and write it all down beside what was known.
 
     Args:
+        known: the model before this stage.
+        known_evidence: columns of its predicates.
         pool: every concept that could be selected, for the predicates that selected ones derive from.
-        report: what earlier stages have to say; the model is added to it.
+        stage: number of this stage, from 1.
+        report: what earlier steps have to say; the model is added to it.
     """
     # PDDL has one space of names, so a new predicate is called like no type and no operator either.
-    taken = [*(t.name for t in given.types), *(p.name for p in given.predicates)]
+    taken = [*(t.name for t in given.types), *(p.name for p in known.predicates)]
     named, names = _name(selection.concepts, {*taken, *(o.name for o in selection.score.operators)})
     renamed = {old: n.predicate for old, n in names.items()}
     operators = tuple(_renamed(_with_effects(op, pool, names), renamed) for op in selection.score.operators)
-    predicates = (*given.predicates, *(n.predicate for n in named))
-    classifiers: dict[str, Classifier | Form] = dict(given.classifiers)
-    records: dict[str, Record] = {}
+    predicates = (*known.predicates, *(n.predicate for n in named))
+    classifiers: dict[str, Classifier | Form] = dict(known.classifiers)
+    records: dict[str, Record] = dict(known.records)
     for n in named:
-        described: dict[str, Any] = {"signature": [t.name for t in n.predicate.types]}
+        described: dict[str, Any] = {"signature": [t.name for t in n.predicate.types], "stage": stage}
         if n.form is not None:
             classifiers[n.predicate.name] = n.form
             records[n.predicate.name] = Record({**described, "kind": DERIVED, **form_to_json(n.form)})
-        elif n.fit is not None:
-            described["candidate"] = str(n.candidate)
+        elif n.fit is not None and n.candidate is not None:
+            described |= {"candidate": str(n.candidate), **candidate_to_json(n.candidate)}
             figures = (("loss", n.fit.loss), ("train_loss", n.fit.train_loss), ("accuracy", n.fit.accuracy))
             described |= {name: round(value, 5) for name, value in figures}
             classifiers[n.predicate.name] = n.fit.classifier
             records[n.predicate.name] = n.fit.classifier.to_record(described)
+    for p in predicates:
+        if p.name in records and records[p.name].meta["kind"] == DERIVED:
+            # Nobody chose these effects: they follow from those of the base, as the operators state them.
+            effects = effects_to_json(stated_effects(p, operators))
+            records[p.name] = Record({**records[p.name].meta, "effects": effects})
+    needed = {op.name: _needed(op, known_evidence, selection, names) for op in operators}
     return Concepts(
         predicates,
         classifiers,
@@ -141,9 +179,9 @@ def assemble(
             "predicates": [f"{n.predicate.name}({', '.join(t.name for t in n.predicate.types)})" for n in named],
             "derived": {n.predicate.name: form_to_json(n.form) for n in named if n.form is not None},
             "pddl": domain_to_pddl(given.name, given.types, predicates, operators),
-            "changes": _changes(given.operators, operators),
-            "affordance_of": _affordances(operators, selection, names),
-            "exclusion": _exclusion(selection),
+            "changes": _changes(known.operators, operators),
+            "affordances_of": _affordances(operators, needed, classifiers),
+            "exclusion": _exclusion(needed),
         },
     )
 
@@ -253,33 +291,50 @@ def _changes(before: Iterable[Operator], after: Iterable[Operator]) -> list[str]
     return lines
 
 
+def _needed(
+    operator: Operator, known_evidence: Sequence[Evidence], selection: Selection, names: Mapping[str, _Named]
+) -> list[tuple[Predicate, Column]]:
+    """The learned preconditions of an operator, of earlier stages or of this one, with their columns."""
+    columns = [(c.atom.predicate, c) for e in known_evidence for c in e[operator.name] if c.learned]
+    for concept in selection.concepts:
+        columns += [(names[concept.predicate.name].predicate, c) for c in concept.evidence[operator.name]]
+    return [(p, c) for p, c in columns if Atom(p, c.atom.args) in operator.preconditions]
+
+
 def _affordances(
-    operators: Iterable[Operator], selection: Selection, names: Mapping[str, _Named]
-) -> dict[str, dict[str, Any]]:
-    """For each skill the learned precondition over one of its parameters that excludes most of its failures."""
-    result: dict[str, dict[str, Any]] = {}
+    operators: Iterable[Operator],
+    needed: Mapping[str, Sequence[tuple[Predicate, Column]]],
+    classifiers: Mapping[str, Classifier | Form],
+) -> dict[str, list[dict[str, Any]]]:
+    """For each skill the learned preconditions over one of its parameters; that which excludes most failures first."""
+    result: dict[str, list[dict[str, Any]]] = {}
     for op in operators:
-        best = (0, "", -1)
-        for concept in selection.concepts:
-            predicate = names[concept.predicate.name].predicate
-            for column in concept.evidence[op.name]:
-                needed = Atom(predicate, column.atom.args) in op.preconditions
-                if concept.candidate is not None and needed and len(column.atom.args) == 1:
-                    argument = [v.name for v in op.parameters].index(column.atom.args[0].name)
-                    best = max(best, (int((~column.failed).sum()) + 1, predicate.name, argument))
-        if best[0]:
-            result[op.name] = {"predicate": best[1], "argument": best[2]}
+        parameters = [v.name for v in op.parameters]
+        found = [
+            (int((~c.failed).sum()), p.name, parameters.index(c.atom.args[0].name))
+            for p, c in needed[op.name]
+            if len(c.atom.args) == 1 and is_neural(p, classifiers)
+        ]
+        if found:
+            ordered = sorted(found, reverse=True)
+            result[op.name] = [{"predicate": name, "argument": argument} for _, name, argument in ordered]
     return result
 
 
-def _exclusion(selection: Selection) -> dict[str, dict[str, float]]:
+def is_neural(predicate: Predicate, classifiers: Mapping[str, Classifier | Form]) -> bool:
+    """Was the predicate, or what it derives from, learned from examples?"""
+    found = classifiers[predicate.name]
+    return is_neural(found.base, classifiers) if isinstance(found, Form) else isinstance(found, NeuralClassifier)
+
+
+def _exclusion(needed: Mapping[str, Sequence[tuple[Predicate, Column]]]) -> dict[str, dict[str, float]]:
     """For each skill the share of its failures, and of its successes, that its learned preconditions rule out."""
     result = {}
-    for op in selection.score.operators:
-        columns = [c for k in selection.concepts for c in k.evidence[op.name] if c.atom in op.preconditions]
+    for skill, pairs in needed.items():
+        columns = [c for _, c in pairs]
         if columns:
             failed = [c.failed for c in columns]
-            result[op.name] = {
+            result[skill] = {
                 "failures": round(1.0 - float(_all(failed).mean()), 4) if len(failed[0]) else 0.0,
                 "successes": round(1.0 - float(_all([c.before for c in columns]).mean()), 4),
             }

@@ -20,7 +20,7 @@ class OperatorConfig:
     Attributes:
         held_before: an atom over the parameters that held before this share of the matching successes.
         excludes_failures: default view only: a learned one must also rule out more than this share of the skill's
-            failures that are not ruled out already,
+            failures in the data of one stage that are not ruled out already,
         excludes_successes: and less than this share of its successes.
         use_failures: False for the published formulation, which has no failed attempts.
     """
@@ -39,6 +39,7 @@ class Column:
         before, after: (successes,) whether it held.
         failed: (failures,) whether it held before.
         learned: False for a given predicate.
+        stage: (failures,) in whose data each failure is.
     """
 
     atom: Atom
@@ -46,6 +47,7 @@ class Column:
     after: np.ndarray
     failed: np.ndarray
     learned: bool
+    stage: np.ndarray
 
 
 MIN_EXPLAINED = 5
@@ -77,11 +79,13 @@ def evidence(
     """
     successes: dict[str, list[Step]] = {name: [] for name in parameters}
     failures: dict[str, list[Step]] = {name: [] for name in parameters}
+    stages: dict[str, list[int]] = {name: [] for name in parameters}
     for run in dataset.runs:
         for step in run.steps:
             successes[step.skill].append(step)
         for step in run.failures:
             failures[step.skill].append(step)
+            stages[step.skill].append(run.stage)
 
     def held(steps: Sequence[Step], atom: Atom, variables: Sequence[Variable], after: bool) -> np.ndarray:
         values = []
@@ -98,6 +102,7 @@ def evidence(
                 held(successes[skill], atom, variables, True),
                 held(failures[skill], atom, variables, False),
                 learned,
+                np.array(stages[skill], dtype=int),
             )
             for atom in lifted_atoms(predicate, variables)
         )
@@ -157,22 +162,33 @@ def learn_operator(
 
 
 def _that_exclude_failures(columns: Sequence[Column], config: OperatorConfig) -> set[Atom]:
-    """Greedily the conditions that tell failures from successes; another one must still tell something new."""
+    """Greedily the conditions that tell failures from successes; another one must still tell something new.
+
+    Each stage is about a failure of its own, so a condition counts for what it rules out in the data of one stage: of
+    the failures of many stages together no condition need rule out much.
+    """
     chosen: set[Atom] = set()
     useful = [c for c in columns if len(c.failed) and (~c.before).mean() < config.excludes_successes]
     if not useful:
         return chosen
     left = np.ones(len(useful[0].failed), dtype=bool)
-    everything = len(left)
+    stages = [useful[0].stage == n for n in np.unique(useful[0].stage)]
+
+    def ruled_out(column: Column) -> float:
+        """The share of what is left of a stage's failures, where that is the largest; a handful proves nothing."""
+        shares = [0.0]
+        for of in stages:
+            gone, there = (left & of & ~column.failed).sum(), (left & of).sum()
+            if there and gone >= 0.05 * of.sum():
+                shares.append(float(gone / there))
+        return max(shares)
 
     def worth(column: Column) -> tuple[float, str]:
-        return (left & ~column.failed).sum() / left.sum() - (~column.before).mean(), str(column.atom)
+        return ruled_out(column) - (~column.before).mean(), str(column.atom)
 
     while left.any():
         best = max(useful, key=worth)
-        ruled_out = left & ~best.failed
-        # Of all failures first, then of those that remain; a handful that remain prove nothing.
-        if ruled_out.sum() <= config.excludes_failures * left.sum() or ruled_out.sum() < 0.05 * everything:
+        if ruled_out(best) <= config.excludes_failures:
             break
         chosen.add(best.atom)
         left &= best.failed

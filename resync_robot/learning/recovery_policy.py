@@ -142,12 +142,15 @@ def within_reach(x: Tensor, wanted: Tensor) -> Tensor:
 class ActorCritic(nn.Module):
     """Gaussian policy and value, 4 x 256 tanh each, as in the paper, with the observation normaliser inside."""
 
-    def __init__(self, width: int = 256, depth: int = 4) -> None:
+    def __init__(
+        self, width: int = 256, depth: int = 4, observations: int = OBSERVATION_SIZE, actions: int = ACTION_SIZE
+    ) -> None:
         super().__init__()
-        self.register_buffer("mean", torch.zeros(OBSERVATION_SIZE))
-        self.register_buffer("scale", torch.ones(OBSERVATION_SIZE))
-        self.actor = _mlp(OBSERVATION_SIZE, width, depth, ACTION_SIZE, 0.01)
-        self.critic = _mlp(OBSERVATION_SIZE, width, depth, 1, 1.0)
+        self.register_buffer("mean", torch.zeros(observations))
+        self.register_buffer("scale", torch.ones(observations))
+        self.actor = _mlp(observations, width, depth, actions, 0.01)
+        self.critic = _mlp(observations, width, depth, 1, 1.0)
+        self.shape = {"width": width, "depth": depth, "observations": observations, "actions": actions}
 
     def normalise(self, observation: Tensor) -> Tensor:
         return ((observation - self.mean) / self.scale).clamp(-8, 8)
@@ -167,7 +170,8 @@ class ActorCritic(nn.Module):
     def from_record(record: Record) -> ActorCritic:
         """The saved actor. Raises LibraryError where weights or the normaliser are missing or misshaped."""
         try:
-            net = ActorCritic(int(record.meta["width"]), int(record.meta["depth"]))
+            sizes = {name: int(record.meta[name]) for name in ("observations", "actions") if name in record.meta}
+            net = ActorCritic(int(record.meta["width"]), int(record.meta["depth"]), **sizes)
         except (KeyError, TypeError, ValueError):
             raise LibraryError(f"the recovery policy's record has no width and depth: {record.meta}", RETRAIN) from None
         weights: Mapping[str, np.ndarray] = record.tensors

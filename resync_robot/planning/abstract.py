@@ -179,9 +179,9 @@ class Abstraction:
         """The atoms that hold: those above `HOLDS`."""
         return frozenset(a for a, p in self.abstract(state).items() if p > HOLDS)
 
-    def likely_atoms(self, state: State) -> Atoms:
-        """The atoms to go by where those that surely hold leave no way to act; here the same ones."""
-        return self.true_atoms(state)
+    def shares(self, state: State) -> dict[Atom, float]:
+        """Every ground atom with the share of the states that there may be in which it holds; here of one, 0 or 1."""
+        return {a: float(p > HOLDS) for a, p in self.abstract(state).items()}
 
     def is_derived(self, predicate: Predicate) -> bool:
         """Does the predicate follow from another one, rather than from the state?"""

@@ -1,6 +1,7 @@
-"""Plan_f: ground, plan, run a skill until its beta or its time limit, ground again, replan. The only such loop.
+"""Plan and execute (the paper's Plan_f): look, plan, run a skill until its beta or its time limit, look again, replan.
 
-Training, evaluation and deployment run this very function; they differ in the world and the model they hand in.
+The only such loop. Training, evaluation and deployment run this very function; they differ in the world and the model
+they hand in.
 """
 
 from __future__ import annotations
@@ -9,46 +10,36 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
+from typing import Any, Protocol
 
 from resync_robot.core.errors import InterruptedMotionError, PlanningError, UnknownNameError
-from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator
 from resync_robot.core.trajectory import Transition
-from resync_robot.core.world import Observation, World
+from resync_robot.core.world import EffortLimited, Observation, World
 from resync_robot.planning.abstract import HOLDS, Abstraction
-from resync_robot.planning.risk import Risk
-from resync_robot.planning.search import Plan
-from resync_robot.planning.suppose import find_plan
-
-
-@dataclass(frozen=True)
-class Affordance:
-    """A learned atom that a skill relies on: after a failure of the skill it is held false until restored.
-
-    Where restoring it fails again and again, it is held true and the skill tried after all: what was learned may be
-    wrong about this object.
-
-    Attributes:
-        predicate: its name.
-        argument: which of the skill's arguments the atom is about.
-    """
-
-    predicate: str
-    argument: int
+from resync_robot.planning.atom_beliefs import AtomBeliefs, BeliefSettings
+from resync_robot.planning.outcome_costs import OutcomeCosts
+from resync_robot.planning.search import Plan, plan
+from resync_robot.planning.suppose import plan_or_suppose
 
 
 @dataclass(frozen=True)
 class Model:
-    """What Plan_f plans with: skills, abstraction, operators (the paper's C, Psi, Op), and what experience adds."""
+    """What is planned with: skills, abstraction, operators (the paper's C, Psi, Op), and what experience adds.
+
+    Attributes:
+        learned: name of each learned predicate -> held-out error of its classifier, None where nobody measured it.
+            Outcomes of skills may contradict what such a classifier sees.
+        costs: of steps, by the outcomes of practice.
+    """
 
     skills: Mapping[str, Skill]
     abstraction: Abstraction
     operators: tuple[Operator, ...]
-    affordances: Mapping[str, Affordance] = field(default_factory=dict)
-    risk: Risk | None = None
+    learned: Mapping[str, float | None] = field(default_factory=dict)
+    costs: OutcomeCosts = field(default_factory=OutcomeCosts)
 
     def skill(self, name: str) -> Skill:
         if name not in self.skills:
@@ -79,7 +70,7 @@ class End(Enum):
 
 @dataclass(frozen=True)
 class Result:
-    """How an episode of Plan_f ended, and every attempt it made."""
+    """How an episode ended, and every attempt it made."""
 
     end: End
     reason: str
@@ -103,7 +94,7 @@ class Listener:
 
     def on_skill_start(self, skill: GroundSkill) -> None: ...
 
-    def on_control(self, observation: Observation, target: JointTarget) -> None: ...
+    def on_control(self, observation: Observation, action: Any) -> None: ...
 
     def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None: ...
 
@@ -124,15 +115,18 @@ class ExecuteSettings:
     max_failures: int = 5
     """Failures of one ground skill after which the episode is given up. A skill that breaks off in time often leaves
     things better than they were, and the next attempt begins from there."""
-    give_up_restoring: int = 4
-    """Failures of a ground skill that should restore a learned atom, from which on the atom is taken for granted. One
-    after which the skill itself says that it is done counts twice: it and what was learned cannot both be right."""
+    horizon: int | None = None
+    """Control steps, of all skills together, after which the episode is given up; None for no such limit."""
     heuristic: str = "lmcut"
+    suppose: bool = True
+    """Where no plan exists by all that is likely: suppose, as a last resort, that a step ends a relation that no
+    operator says it ends. Needed as long as operators are learned that leave out such effects."""
     plan_only: bool = False
     """End with the first plan, and run none of it."""
+    beliefs: BeliefSettings = BeliefSettings()
 
 
-def plan_f(
+def plan_and_execute(
     world: World,
     model: Model,
     goal: Atoms,
@@ -140,90 +134,143 @@ def plan_f(
     listener: Listener | None = None,
     reaction: Reaction | None = None,
 ) -> Result:
-    """Reach `goal` in `world` with what `model` knows."""
+    """Reach `goal` in `world` with what `model` knows: the paper's Plan_f."""
     s, listener = settings or ExecuteSettings(), listener or Listener()
-    transitions: list[Transition] = []
-    plans: list[Plan] = []
+    run = _Episode(world, model, goal, s, listener)
     failures: Counter[str] = Counter()
-    in_vain: Counter[str] = Counter()
-    taught: dict[Atom, bool] = {}
-    """What attempts say of learned atoms, against what is seen."""
-    relied_on = {affordance.predicate for affordance in model.affordances.values()}
-    supposed_before: set[str] = set()
-    state, atoms = _look(world, model, taught, listener)
     reason = "start"
-
-    def ended(end: End, why: str = "") -> Result:
-        listener.on_end(end, why)
-        return Result(end, why, tuple(transitions), tuple(plans), state)
-
+    run.look()
     while True:
-        if goal <= atoms:
-            return ended(End.GOAL)
+        if goal <= run.beliefs.certain():
+            return run.ended(End.GOAL)
         try:
-            found, supposed = find_plan(
-                model.operators, model.abstraction, state.objects, atoms, goal, s.heuristic, supposed_before, model.risk
-            )
+            found = run.plan(reason)
         except PlanningError as error:
-            # Doubt that leaves no way to act is no use: believe what is most likely, and try once more.
-            likely = model.abstraction.likely_atoms(state)
-            if likely == atoms:
-                return ended(End.NO_PLAN, error.what)
-            atoms, reason = likely, "nothing else is left to try than to believe what is most likely"
-            taught.clear()
-            if goal <= atoms:
-                return ended(End.GOAL, "as far as can be told: not all of it is certain")
-            continue
-        plans.append(found)
-        supposed_before.add(supposed)
-        listener.on_plan(found, f"{reason}; no plan otherwise, perhaps {supposed}" if supposed else reason)
+            return run.ended(End.NO_PLAN, error.what)
+        if not found.steps:
+            return run.ended(End.GOAL, "as far as can be told: not all of it is certain")
         if s.plan_only:
-            return ended(End.PLANNED, f"{len(found.steps)} steps")
+            return run.ended(End.PLANNED, f"{len(found.steps)} steps")
+        reason = "the plan ended short of the goal"
         for index, step in enumerate(found.steps):
-            if not step.applicable(atoms):
-                missing = ", ".join(map(str, sorted(step.preconditions - atoms)))
-                reason = f"{step} needs {missing}"
+            if missing := step.preconditions - run.atoms:
+                reason = f"{step} needs {', '.join(map(str, sorted(missing)))}"
                 break
-            if len(transitions) >= s.max_skills:
-                return ended(End.EXHAUSTED, f"{len(transitions)} skills were run")
+            if limit := run.limit_reached():
+                return run.ended(End.EXHAUSTED, limit)
             listener.on_step_of_plan(index)
             if not listener.confirm(step):
-                return ended(End.STOPPED, f"{step} was declined")
-            ground = model.skill(step.name).ground(step.objects)
-            before = state
-            outcome = run_skill(world, ground, listener)
-            for atom in step.add:
-                taught.pop(atom, None)
-            state, atoms = _look(world, model, taught, listener)
-            came_true = step.add <= atoms and not (step.delete & atoms)
-            transitions.append(Transition(before, step.name, step.objects, state, came_true))
+                return run.ended(End.STOPPED, f"{step} was declined")
+            outcome, came_true = run.attempt(step)
             if came_true:
                 continue
             listener.on_effects_missing(step)
-            reason = f"{step} did not do what it should ({outcome.ending.value}: {outcome.reason or 'effects missing'})"
+            words = outcome.reason or "effects missing"
+            reason = f"{step} did not do what it should ({outcome.ending.value}: {words})"
             failures[str(step)] += 1
-            in_vain[str(step)] += 2 if outcome.done else 1
             if failures[str(step)] >= s.max_failures:
-                return ended(End.STUCK, reason)
-            if in_vain[str(step)] >= s.give_up_restoring:
-                granted = {a for a in step.add - atoms if a.predicate.name in relied_on}
-                if granted:
-                    reason += f"; {', '.join(sorted(map(str, granted)))} taken for granted now"
-                taught |= dict.fromkeys(granted, True)
-                atoms |= granted
-            distrust = _distrust(model, ground)
-            if distrust is not None:
-                taught[distrust] = False
-                atoms = atoms - {distrust}
-            recovery = reaction(ground, state) if reaction else None
-            if recovery is not None:
-                before = state
-                outcome = run_skill(world, recovery, listener)
-                state, atoms = _look(world, model, taught, listener)
-                transitions.append(Transition(before, recovery.name, recovery.objects, state, outcome.done))
+                return run.ended(End.STUCK, reason)
+            failed = model.skill(step.name).ground(step.objects)
+            if reaction and (recovery := reaction(failed, run.state)) is not None:
+                run.react(recovery)
             break
-        else:
-            reason = "the plan ended short of the goal"
+
+
+class _Episode:
+    """One run of `plan_and_execute`: what is seen and believed, what was planned, and what was done."""
+
+    def __init__(self, world: World, model: Model, goal: Atoms, settings: ExecuteSettings, listener: Listener) -> None:
+        self._world, self._model, self._goal, self._settings, self._listener = world, model, goal, settings, listener
+        self.beliefs = AtomBeliefs(model.learned, model.costs, settings.beliefs)
+        self.state = State({})
+        self.atoms: Atoms = frozenset()
+        """What plans may build on now: what is certain, and what the current plan relies on as long as it is likely."""
+        self._plans: list[Plan] = []
+        self._transitions: list[Transition] = []
+        self._supposed: set[str] = set()
+        self._steps = 0
+        """Of control, so far."""
+
+    def look(self) -> None:
+        self.state = self._world.perceive()
+        self.beliefs.perceived(self._model.abstraction.shares(self.state))
+        self._looked()
+
+    def _looked(self) -> None:
+        likely = self.beliefs.likely()
+        relied_on = self._plans[-1].relies_on if self._plans else frozenset()
+        self.atoms = self.beliefs.certain() | {a for a in relied_on if a in likely}
+        self._listener.on_perceived(self.state, self.beliefs.shown())
+
+    def plan(self, reason: str) -> Plan:
+        """A plan by what is certain; else by what is likely, too; else by a supposition. Raises PlanningError."""
+        model, s, objects = self._model, self._settings, self.state.objects
+        certain, likely = self.beliefs.certain(), self.beliefs.likely()
+        try:
+            found = plan(model.operators, objects, certain, self._goal, s.heuristic, costs=model.costs)
+        except PlanningError as error:
+            found, trust = self._plan_on_trust(error, certain, likely)
+            reason = f"{reason}; no plan otherwise, {trust}"
+        self.atoms = found.atoms
+        self._plans.append(found)
+        if found.steps:
+            self._listener.on_plan(found, reason)
+        return found
+
+    def _plan_on_trust(self, error: PlanningError, certain: Atoms, likely: Mapping[Atom, float]) -> tuple[Plan, str]:
+        """A plan, and what it trusts in; `error` says why there is no other. Raises PlanningError."""
+        model, s, objects = self._model, self._settings, self.state.objects
+        operators, goal, heuristic, costs = model.operators, self._goal, s.heuristic, model.costs
+        if likely:
+            try:
+                found = plan(operators, objects, certain, goal, heuristic, costs=costs, likely=likely)
+                return found, "relying on " + ", ".join(f"{a} ({likely[a]:.2f})" for a in sorted(found.relies_on))
+            except PlanningError:
+                pass
+        if not s.suppose:
+            raise error
+        most_likely = certain | {a for a, p in likely.items() if p > HOLDS}
+        found, supposed = plan_or_suppose(
+            operators, model.abstraction, objects, most_likely, goal, heuristic, self._supposed, costs
+        )
+        self._supposed.add(supposed)
+        return found, f"perhaps {supposed}"
+
+    def limit_reached(self) -> str:
+        """Which limit of the loop is reached, in words; "" for none."""
+        s = self._settings
+        if len(self._transitions) >= s.max_skills:
+            return f"{len(self._transitions)} skills were run"
+        if s.horizon is not None and self._steps >= s.horizon:
+            return f"{self._steps} control steps were taken"
+        return ""
+
+    def attempt(self, step: GroundOperator) -> tuple[Outcome, bool]:
+        """Run a step, look, and learn from the outcome; also whether its effects came true."""
+        before = self.state
+        outcome = self._run(self._model.skill(step.name).ground(step.objects))
+        self.state = self._world.perceive()
+        came_true = self.beliefs.attempted(step, outcome, self._model.abstraction.shares(self.state))
+        self._looked()
+        self._transitions.append(Transition(before, step.name, step.objects, self.state, came_true))
+        return outcome, came_true
+
+    def react(self, recovery: GroundSkill) -> None:
+        """Run what a reactive method wants."""
+        before = self.state
+        outcome = self._run(recovery)
+        self.look()
+        self._transitions.append(Transition(before, recovery.name, recovery.objects, self.state, outcome.done))
+
+    def _run(self, ground: GroundSkill) -> Outcome:
+        horizon = self._settings.horizon
+        outcome, steps = _run(self._world, ground, self._listener, None if horizon is None else horizon - self._steps)
+        self._steps += steps
+        return outcome
+
+    def ended(self, end: End, why: str = "") -> Result:
+        self._listener.on_end(end, why)
+        return Result(end, why, tuple(self._transitions), tuple(self._plans), self.state)
 
 
 def begin_after(
@@ -254,16 +301,25 @@ def run_skill(world: World, ground: GroundSkill, listener: Listener | None = Non
     The limit counts control steps: a robot that runs at a fraction of full speed stretches them on its own clock, and
     a skill is not to fail for that.
     """
-    listener = listener or Listener()
+    return _run(world, ground, listener or Listener())[0]
+
+
+def _run(world: World, ground: GroundSkill, listener: Listener, most: int | None = None) -> tuple[Outcome, int]:
+    """`run_skill` with at most so many control steps; also how many there were."""
     skill = ground.skill
     listener.on_skill_start(ground)
-    world.limit_effort(skill.effort_limit)
+    arm = world if isinstance(world, EffortLimited) else None
+    if arm is not None:
+        arm.limit_effort(skill.effort_limit)
     observation = world.observe(skill.live_state)
     policy = skill.start(ground.objects, observation)
     steps = 0
     while True:
         answer = policy.step(observation)
         if isinstance(answer, Outcome):
+            break
+        if most is not None and steps >= most:
+            answer = Outcome(Ending.TIMEOUT, "the episode's horizon is reached")
             break
         listener.on_control(observation, answer)
         try:
@@ -276,21 +332,7 @@ def run_skill(world: World, ground: GroundSkill, listener: Listener | None = Non
         if steps > skill.time_limit_s * skill.rate_hz:
             answer = Outcome(Ending.TIMEOUT, f"not done after {skill.time_limit_s:.0f} s")
             break
-    world.limit_effort(None)
+    if arm is not None:
+        arm.limit_effort(None)
     listener.on_skill_end(ground, answer)
-    return answer
-
-
-def _look(world: World, model: Model, taught: Mapping[Atom, bool], listener: Listener) -> tuple[State, Atoms]:
-    state = world.perceive()
-    probabilities = {atom: float(taught.get(atom, p)) for atom, p in model.abstraction.abstract(state).items()}
-    listener.on_perceived(state, probabilities)
-    return state, frozenset(a for a, p in probabilities.items() if p > HOLDS)
-
-
-def _distrust(model: Model, failed: GroundSkill) -> Atom | None:
-    affordance = model.affordances.get(failed.name)
-    if affordance is None:
-        return None
-    predicate = next((p for p in model.abstraction.predicates if p.name == affordance.predicate), None)
-    return None if predicate is None else predicate(failed.objects[affordance.argument])
+    return answer, steps

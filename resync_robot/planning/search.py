@@ -1,4 +1,4 @@
-"""From atoms to a plan: A* over the grounded operators, with pyperplan's search and heuristics.
+"""From atoms to a plan: A* over the grounded operators by action cost, with pyperplan's heuristics.
 
 pyperplan's task is built directly from our ground operators, so no PDDL text is written or parsed on the way.
 Facts are numbered: sets of small integers iterate in one order, whatever the hash seed, and so do the plans.
@@ -7,24 +7,26 @@ Facts are numbered: sets of small integers iterate in one order, whatever the ha
 from __future__ import annotations
 
 import heapq
+import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from pyperplan.heuristics.blind import BlindHeuristic
 from pyperplan.heuristics.lm_cut import LmCutHeuristic
 from pyperplan.heuristics.relaxation import hFFHeuristic, hMaxHeuristic
-from pyperplan.search.a_star import astar_search
 from pyperplan.search.searchspace import SearchNode, make_child_node, make_root_node
 from pyperplan.task import Operator as PyperplanOperator
 from pyperplan.task import Task
 
 from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, distinct_products
-from resync_robot.planning.risk import Risk
+from resync_robot.planning.outcome_costs import OutcomeCosts
 
 INFINITY = float("inf")
+COST_UNIT = 1e-6
+"""Costs are whole numbers of this in a search, so that sums are exact and equal costs are equal."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +37,14 @@ class Plan:
         nodes_created: search nodes whose heuristic was computed until this plan was found.
         seconds: grounding included.
         atoms: what was taken to hold when it was made.
+        relies_on: those of `atoms` that are only likely.
     """
 
     steps: tuple[GroundOperator, ...]
     nodes_created: int
     seconds: float
     atoms: Atoms
+    relies_on: Atoms = frozenset()
 
     def reaches(self, goal: Atoms) -> bool:
         """Whether its operators, as they are, lead from its atoms to the goal; not so where a step supposes more."""
@@ -86,7 +90,7 @@ HEURISTICS: dict[str, Callable[[Task], Callable[[SearchNode], float]]] = {
     "hff": hFFHeuristic,
     "blind": BlindHeuristic,
 }
-"""The first two and the last never overestimate, so plans are shortest; hFF is faster and may not be."""
+"""The first two and the last never overestimate, so plans are cheapest; hFF is faster, and its plans may not be."""
 
 
 class _TooManyNodes(Exception):
@@ -100,20 +104,21 @@ def plan(
     goal: Atoms,
     heuristic: str = "lmcut",
     max_nodes: int = 50_000,
-    risk: Risk | None = None,
+    costs: OutcomeCosts | None = None,
+    likely: Mapping[Atom, float] | None = None,
 ) -> Plan:
-    """The first plan that A* finds; always the same one for the same input.
+    """The cheapest plan, by A* (with a heuristic that never overestimates); always the same one for the same input.
 
     Args:
-        risk: given one, of the shortest plans the one whose steps bear the least in sum (with a heuristic that never
-            overestimates).
+        costs: of the steps. Without them, or without counts in them, the plan is a shortest one.
+        likely: further atoms with their probabilities p. The plan may rely on them from its start, at -log p for each.
 
     Raises:
         PlanningError: no plan reaches the goal, or none was found within `max_nodes`.
         UnknownNameError: the heuristic does not exist.
     """
     start = time.perf_counter()
-    problem = _Problem(operators, objects, atoms, goal, risk=risk)
+    problem = _Problem(operators, objects, atoms, goal, costs=costs, likely=likely)
     estimate = problem.heuristic(heuristic)
     created = 0
 
@@ -125,12 +130,38 @@ def plan(
         return estimate(node)
 
     try:
-        found = _surest(problem, _remembered(counted)) if risk else astar_search(problem.task, counted)
+        found = _cheapest(problem, _remembered(counted))
     except _TooManyNodes:
         raise PlanningError(f"no plan for {_words(goal)} within {max_nodes} search nodes") from None
     if found is None:
         raise PlanningError(f"no plan reaches {_words(goal)}{problem.why_not()}")
-    return Plan(problem.steps(found), created, time.perf_counter() - start, atoms)
+    relied = problem.relied_on(found)
+    return Plan(problem.steps(found), created, time.perf_counter() - start, atoms | relied, relied)
+
+
+def _cheapest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] | None:
+    """A*. The heuristic counts steps, each of which costs the cheapest one or more."""
+    root = make_root_node(problem.task.initial_state)
+    best = {root.state: 0}
+    queue = [(0.0, 0.0, 0, root)] if h(root) < INFINITY else []
+    pushed = 0
+    while queue:
+        _, _, _, node = heapq.heappop(queue)
+        if node.g > best[node.state]:
+            continue
+        if problem.task.goal_reached(node.state):
+            operators: list[Any] = node.extract_solution()
+            return operators
+        holding = problem.atoms_in(node.state)
+        for op, state in problem.task.get_successor_states(node.state):
+            child = SearchNode(state, node, op, node.g + problem.cost(op, holding))
+            if child.g >= best.get(state, INFINITY) or (steps := h(child)) == INFINITY:
+                continue
+            best[state] = child.g
+            pushed += 1
+            left = steps * problem.least_cost
+            heapq.heappush(queue, (child.g + left, left, pushed, child))
+    return None
 
 
 def _remembered(estimate: Callable[[SearchNode], float]) -> Callable[[SearchNode], float]:
@@ -143,29 +174,6 @@ def _remembered(estimate: Callable[[SearchNode], float]) -> Callable[[SearchNode
         return values[node.state]
 
     return h
-
-
-def _surest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] | None:
-    """A* on (steps, risk), compared in this order; the heuristic speaks of steps only."""
-    root = make_root_node(problem.task.initial_state)
-    best = {root.state: (0, 0.0)}
-    queue = [(h(root), 0.0, h(root), 0, root)] if h(root) < INFINITY else []
-    pushed = 0
-    while queue:
-        _, borne, _, _, node = heapq.heappop(queue)
-        if best[node.state] < (node.g, borne):
-            continue
-        if problem.task.goal_reached(node.state):
-            steps: list[Any] = node.extract_solution()
-            return steps
-        for op, state in problem.task.get_successor_states(node.state):
-            child = make_child_node(node, op, state)
-            cost = child.g, borne + problem.risk_of(op, node.state)
-            if (state not in best or cost < best[state]) and h(child) < INFINITY:
-                best[state] = cost
-                pushed += 1
-                heapq.heappush(queue, (child.g + h(child), cost[1], h(child), pushed, child))
-    return None
 
 
 def plans(
@@ -221,7 +229,11 @@ def ground_all(operators: Iterable[Operator], objects: Iterable[Object]) -> list
 
 
 class _Problem:
-    """A pyperplan task with numbered facts. Only facts that a precondition, the goal or a risk asks for are kept."""
+    """A pyperplan task with numbered facts. Only facts that a precondition, the goal or a cost asks for are kept.
+
+    An atom that is only likely is brought about by an operator of its own, which is no step of the plan, and which can
+    be used until the first step is.
+    """
 
     def __init__(
         self,
@@ -230,46 +242,63 @@ class _Problem:
         atoms: Atoms,
         goal: Atoms,
         keep_useless: bool = False,
-        risk: Risk | None = None,
+        costs: OutcomeCosts | None = None,
+        likely: Mapping[Atom, float] | None = None,
     ) -> None:
         if not goal:
             raise PlanningError("the goal is empty: there is nothing to plan for")
-        self.goal, self.atoms, self._risk = goal, atoms, risk
+        self.goal, self.atoms, self._costs = goal, atoms, costs or OutcomeCosts()
         self.ground = ground_all(operators, objects)
         self._asked = sorted(
-            goal.union(*(op.preconditions for op in self.ground), *(risk.atoms(op) for op in self.ground if risk))
+            goal.union(*(op.preconditions for op in self.ground), *(self._costs.atoms(op) for op in self.ground))
         )
         number = {atom: i for i, atom in enumerate(self._asked, start=1)}
+        self._likely = [(a, p) for a, p in sorted((likely or {}).items()) if a in number and a not in atoms]
 
         def facts(of: Iterable[Atom]) -> frozenset[int]:
             return frozenset(sorted(number[a] for a in of if a in number))
 
-        # Fact 0 always holds and stands for "no precondition": pyperplan's own stand-in is a string.
+        # Fact 0 always holds and stands for "no precondition": pyperplan's own stand-in is a string. The last one holds
+        # until the first step, where there is anything to rely on.
+        first = frozenset({len(self._asked) + 1}) if self._likely else frozenset()
+        steps = [
+            PyperplanOperator(i, facts(op.preconditions) or {0}, facts(op.add), facts(op.delete) | first)
+            for i, op in enumerate(self.ground)
+            if keep_useless or op.add & number.keys()
+        ]
+        reliances = [
+            PyperplanOperator(i, first, facts({a}), frozenset())
+            for i, (a, _) in enumerate(self._likely, start=len(self.ground))
+        ]
         self.task = Task(
             "task",
-            frozenset(range(len(self._asked) + 1)),
-            facts(atoms) | {0},
+            frozenset(range(len(self._asked) + 1)) | first,
+            facts(atoms) | {0} | first,
             facts(goal),
-            [
-                PyperplanOperator(i, facts(op.preconditions) or {0}, facts(op.add), facts(op.delete))
-                for i, op in enumerate(self.ground)
-                if keep_useless or op.add & number.keys()
-            ],
+            [*steps, *reliances],
         )
+        least = [self._costs.least(op) for op in self.ground] + [-math.log(p) for _, p in self._likely]
+        self.least_cost = math.floor(min(least, default=1.0) / COST_UNIT)
 
     def heuristic(self, name: str) -> Callable[[SearchNode], float]:
         if name not in HEURISTICS:
             raise UnknownNameError("heuristic", name, list(HEURISTICS))
         return HEURISTICS[name](self.task)
 
-    def risk_of(self, op: PyperplanOperator, state: frozenset[int]) -> float:
-        """What the step bears where `state` holds; 0 without a risk."""
-        if self._risk is None:
-            return 0.0
-        return self._risk.of(self.ground[op.name], {self._asked[i - 1] for i in state if i})
+    def atoms_in(self, state: frozenset[int]) -> frozenset[Atom]:
+        return frozenset(self._asked[i - 1] for i in state if 0 < i <= len(self._asked))
+
+    def cost(self, op: PyperplanOperator, holding: Collection[Atom]) -> int:
+        """Of an operator where these atoms hold, in COST_UNIT."""
+        if op.name >= len(self.ground):
+            return round(-math.log(self._likely[op.name - len(self.ground)][1]) / COST_UNIT)
+        return round(self._costs.cost(self.ground[op.name], holding) / COST_UNIT)
 
     def steps(self, found: Sequence[Any]) -> tuple[GroundOperator, ...]:
-        return tuple(self.ground[op.name] for op in found)
+        return tuple(self.ground[op.name] for op in found if op.name < len(self.ground))
+
+    def relied_on(self, found: Sequence[Any]) -> Atoms:
+        return frozenset(self._likely[i][0] for op in found if (i := op.name - len(self.ground)) >= 0)
 
     def why_not(self) -> str:
         reachable = self.atoms.union(*(op.add for op in self.ground))

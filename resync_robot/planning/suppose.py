@@ -1,6 +1,6 @@
-"""Where no plan exists: suppose that one step also ends a relation that nobody has said it ends.
+"""The last resort where no plan exists: suppose that one step also ends a relation that nobody has said it ends.
 
-Operators learned from few situations leave effects out. That a block which is lifted off another no longer lies on it,
+Operators learned from few situations leave effects out. That a thing which is lifted off another no longer lies on it,
 and that the lower one is bare from then on, is such an effect where training never lifted one off. The planner then
 sees no way on, though there is one. So it asks of each step that it could take now: would there be a plan if what the
 step moves were no longer related to things that the step does not name? The step is taken, and the next look at the
@@ -14,11 +14,11 @@ from collections.abc import Container, Iterable, Sequence
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.risk import Risk
+from resync_robot.planning.outcome_costs import OutcomeCosts
 from resync_robot.planning.search import Plan, ground_all, plan
 
 
-def find_plan(
+def plan_or_suppose(
     operators: Sequence[Operator],
     abstraction: Abstraction,
     objects: Iterable[Object],
@@ -26,13 +26,13 @@ def find_plan(
     goal: Atoms,
     heuristic: str = "lmcut",
     disproved: Container[str] = (),
-    risk: Risk | None = None,
+    costs: OutcomeCosts | None = None,
 ) -> tuple[Plan, str]:
     """A plan by the operators as they are, or else the shortest one that begins with a supposition.
 
     Args:
         disproved: suppositions, in the words that were returned, that are not made again.
-        risk: which of several shortest plans by the operators is taken.
+        costs: of the steps.
 
     Returns:
         The plan, and what it supposes: empty, or words such as "Pick(r, b2) ends On".
@@ -42,7 +42,7 @@ def find_plan(
     """
     objects = tuple(objects)
     try:
-        return plan(operators, objects, atoms, goal, heuristic, risk=risk), ""
+        return plan(operators, objects, atoms, goal, heuristic, costs=costs), ""
     except PlanningError as error:
         supposed = _suppose(operators, abstraction, objects, atoms, goal, heuristic, disproved)
         if supposed is None:
@@ -62,7 +62,7 @@ def check_goal(
 
     def failure(wanted: Atoms) -> PlanningError | None:
         try:
-            find_plan(operators, abstraction, objects, atoms, wanted)
+            plan_or_suppose(operators, abstraction, objects, atoms, wanted)
         except PlanningError as error:
             return error
         return None

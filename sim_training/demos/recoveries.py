@@ -19,11 +19,11 @@ from resync_robot.core.world import Window
 from resync_robot.learning import camera_view, recovery_policy
 from resync_robot.learning.camera_view import PICTURE, VIEWS, Scanned
 from resync_robot.sim_training.demos.starts import Start
-from resync_robot.sim_training.mine import MOVED, SETTLING
 from resync_robot.sim_training.recovery import FailedWorlds, draw_still, lagging
 from resync_robot.sim_training.scene import add_camera, build_scene, colour_of, look_through, whole_picture
 from resync_robot.sim_training.sensor import NoisySensor, Tone
 from resync_robot.sim_training.vector_env import CONTROL_PERIOD, RECOVERY_TORQUE
+from resync_robot.sim_training.world import MOVED, SETTLING
 
 FOCAL_SIGMA = 0.005
 """Relative error of a calibrated focal length."""

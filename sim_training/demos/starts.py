@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
-from resync_robot.core.vocabulary import BLOCK
+from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.sim_training.randomise import PICTURED, Ranges, draw_physics
 
@@ -44,21 +45,20 @@ def draw_start(
         blocks = [o for o in task.objects if o.type == BLOCK]
         block = blocks[int(rng.integers(len(blocks)))]
         kind = 0.0 if failed_only else rng.random()
-        task = domain.relocate(task, block, _relative(gaussians, kind, rng), rng)
+        box = task.initial.of_type(BOX)[0]
+        task = domain.relocate(task, block, box, _relative(gaussians, kind, rng), rng)
         for other in blocks:
             if other != block and rng.random() < 0.25:
-                task = domain.relocate(
-                    task, other, gaussians["before" if rng.random() < 0.5 else "after"].sample(rng), rng
-                )
+                drawn = gaussians["before" if rng.random() < 0.5 else "after"].sample(rng)
+                task = domain.relocate(task, other, box, drawn, rng)
         places = [task.initial.get(b, "x", "y") for b in blocks]
         if all(np.linalg.norm(a - b) > APART for i, a in enumerate(places) for b in places[i + 1 :]):
             physics = draw_physics(rng, [b.name for b in blocks], ranges)
             return Start(replace(task, physics=physics), block)
 
 
-def _relative(
-    gaussians: Mapping[str, PairGaussian], kind: float, rng: np.random.Generator
-) -> tuple[float, float, float]:
+def _relative(gaussians: Mapping[str, PairGaussian], kind: float, rng: np.random.Generator) -> Float[np.ndarray, "4"]:
+    """How a block lies in the box, in the columns of the domain's corner: two gaps, then its heading."""
     before, after = gaussians["before"].sample(rng), gaussians["after"].sample(rng)
     if kind < 0.6:
         return before
@@ -66,5 +66,5 @@ def _relative(
         return after
     share = rng.random()
     # Headings differ by any number of quarter turns; the failure's own suits a place near the walls.
-    smaller, larger = (b + share * (a - b) for b, a in zip(before[:2], after[:2], strict=True))
-    return smaller, larger, before[2]
+    near, far = np.sort(before[:2]), np.sort(after[:2])
+    return np.concatenate([near + share * (far - near), before[2:]])

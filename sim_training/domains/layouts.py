@@ -13,6 +13,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.sim_training.domains.corner import at_walls, block_features
 from resync_robot.sim_training.parts import BOX_FLOOR
 from resync_robot.sim_training.randomise import USUAL, Ranges, draw_physics
 
@@ -46,34 +47,21 @@ def sample_block_sizes(rng: np.random.Generator, names: Sequence[str], ranges: R
     return sizes
 
 
-def block_features(box: np.ndarray, local: Sequence[float], size: np.ndarray, on_table: bool = False) -> np.ndarray:
-    """(10,) features of a block that stands at `local` = (x, y, yaw) in the box's frame, in it or on the table."""
-    world = spatial.pose_from_features(box[:7]) @ spatial.transform(
-        spatial.rotation_about("z", local[2]), np.array([local[0], local[1], 0.0])
-    )
-    features = spatial.features_from_pose(world)
-    features[2] = size[2] / 2 + (0.0 if on_table else BOX_FLOOR) + 0.0005
-    return np.concatenate([features, size])
-
-
 def corner_pose(
     rng: np.random.Generator, box: np.ndarray, width: float, corner: int, gap: tuple[float, float] = CORNER_GAP
 ) -> tuple[float, float, float]:
     """(x, y, yaw) in the box's frame, in corner 0-3 with a gap to each of its walls."""
     sx, sy = ((1, 1), (1, -1), (-1, 1), (-1, -1))[corner]
     yaw = rng.uniform(-0.03, 0.03) + rng.integers(4) * np.pi / 2
-    half = width / 2 * (abs(np.cos(yaw)) + abs(np.sin(yaw)))
-    x, y = (inner / 2 - half - rng.uniform(*gap) for inner in box[7:9])
-    return sx * x, sy * y, yaw
+    x, y = at_walls(box, width, yaw, np.array([sx, sy]), rng.uniform(*gap, 2))
+    return float(x), float(y), yaw
 
 
 def wall_pose(rng: np.random.Generator, box: np.ndarray, width: float, wall: int) -> tuple[float, float, float]:
     """(x, y, yaw) in the box's frame, against the middle of wall 0-3 only."""
     yaw = rng.uniform(-0.03, 0.03) + rng.integers(4) * np.pi / 2
-    half = width / 2 * (abs(np.cos(yaw)) + abs(np.sin(yaw)))
     axis, sign = wall // 2, 1 - 2 * (wall % 2)
-    place = np.zeros(2)
-    place[axis] = sign * (box[7 + axis] / 2 - half - rng.uniform(*CORNER_GAP))
+    place = at_walls(box, width, yaw, float(sign), rng.uniform(*CORNER_GAP))
     place[1 - axis] = rng.uniform(-0.06, 0.06)
     return float(place[0]), float(place[1]), yaw
 

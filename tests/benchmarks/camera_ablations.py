@@ -20,7 +20,6 @@ from tempfile import TemporaryDirectory
 from resync_robot.core.library import load_library
 from resync_robot.distil import SHARD, DistilPlan, distil, make_context
 from resync_robot.evaluation_report import wilson
-from resync_robot.learning.failures import PairGaussian
 from resync_robot.run_folder import RunFolder
 from resync_robot.sim_training.demos.rollouts import try_student
 from resync_robot.sim_training.demos.starts import draw_start
@@ -28,6 +27,7 @@ from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.randomise import PICTURED, PRACTICE, UNSEEN
 from resync_robot.sim_training.recovery import RecoverySettings
+from tests.libraries import gaussians_of
 
 WHOLE = DistilPlan(worlds=320, rounds=1, round_worlds=160, steps=1800, round_steps=1000)
 VARIANTS = {
@@ -75,7 +75,7 @@ def main() -> None:
     library = load_library(args.run / "library")
     domain = find_domain(library.domain)
     record = library.skills[domain.recovery]
-    gaussians = {k: PairGaussian.from_json(v) for k, v in library.gaussians.items()}
+    gaussians = gaussians_of(library)
     for name in args.variants:
         _take_over_demonstrations(name, args.out)
         plan, folder = VARIANTS[name], RunFolder(args.out / name)
@@ -84,7 +84,7 @@ def main() -> None:
         with TemporaryDirectory() as student:
             for file, data in files.items():
                 (Path(student) / file).write_bytes(data)
-            context = partial(make_context, domain.name, folder.rig, record, gaussians, Path(student), plan.blind)
+            context = partial(make_context, domain.spec, folder.rig, record, gaussians, Path(student), plan.blind)
             for looks in ("usual", "unseen"):
                 jobs = [(looks, FRESH + i) for i in range(0, args.worlds, BATCH)]
                 found = [t for trials in parallel_map(_try, jobs, context, args.workers) for t in trials]

@@ -31,6 +31,7 @@ from resync_robot.sim_training.demos.starts import draw_start
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.randomise import LOOKS
+from tests.libraries import gaussians_of
 
 FRESH = 960_000_000
 """First world seed; training seeds stay far below it."""
@@ -42,7 +43,7 @@ ORDERS = list(permutations(range(len(VIEWS))))
 
 def _context() -> Mapping[str, PairGaussian]:
     library = load_library(shipped_library("cornered-insertion-s"))
-    return {k: PairGaussian.from_json(v) for k, v in library.gaussians.items()}
+    return gaussians_of(library)
 
 
 def _judge(gaussians: Mapping[str, PairGaussian], job: tuple[str, int]) -> list[tuple[bool, int]]:

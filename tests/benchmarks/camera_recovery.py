@@ -32,6 +32,7 @@ from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.randomise import LOOKS
 from resync_robot.sim_training.recovery import RecoverySettings
 from resync_robot.sim_training.solver import REFERENCE, with_solver
+from tests.libraries import gaussians_of
 
 FRESH = 950_000_000
 """First world seed; training seeds stay far below it."""
@@ -50,7 +51,7 @@ def _context(path: Path) -> tuple[Library, Teacher, CameraPolicy, dict[str, Pair
         for name, data in library.policies[domain.recovery].items():
             (Path(folder) / name).write_bytes(data)
         student = load_student(Path(folder))
-    gaussians = {k: PairGaussian.from_json(v) for k, v in library.gaussians.items()}
+    gaussians = gaussians_of(library)
     return library, recovery_nets(record)[0].act, student, gaussians
 
 

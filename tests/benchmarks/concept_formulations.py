@@ -23,7 +23,7 @@ from resync_robot.core.trajectory import read_trajectories
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT, TYPES
 from resync_robot.knowledge import make_library
 from resync_robot.learning.concepts import learn_concepts
-from resync_robot.learning.failures import PairGaussian
+from resync_robot.learning.dataset import StageData
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
 
@@ -49,11 +49,11 @@ def formulate(out: Path, job: tuple[Path, str]) -> dict[str, object]:
     predicates = {p.name: p for p in domain.predicates}
     files = [*sorted((run / "stages").glob("dreams-*.jsonl")), run / "stages" / "mining.jsonl"]
     trajectories = [t for f in files for t in read_trajectories(f, TYPES, predicates) if t.transitions]
-    failed = base.provenance["failure"]["skill"]
-    concepts = learn_concepts(trajectories, domain, domain.recovery, (ROBOT, BLOCK, BOX), failed, mode, seed)
-    gaussians = {k: PairGaussian.from_json(g) for k, g in base.gaussians.items()}
+    stage = base.stage(domain.recovery)
+    data = StageData(stage.recovery, (ROBOT, BLOCK, BOX), stage.failure.skill, trajectories)
+    concepts = learn_concepts([data], domain, mode=mode, seed=seed)
     provenance = {**base.provenance, "concepts": mode}
-    library = make_library(domain, load_rig(), base.skills[domain.recovery], gaussians, concepts, provenance)
+    library = make_library(domain, load_rig(), stage, base.skills[domain.recovery], concepts, provenance)
     save_library(library, out / f"{mode}-{run.name}")
     return {
         "run": run.name,

@@ -60,7 +60,7 @@ def main() -> None:
             look.true_atoms(estimated(task.initial))
             sampling.append(1000 * (time.perf_counter() - begin))
             try:
-                found = plan(model.operators, task.objects, atoms, task.goal, risk=model.risk)
+                found = plan(model.operators, task.objects, atoms, task.goal, costs=model.costs)
             except PlanningError:
                 continue
             planning.append(1000 * found.seconds)

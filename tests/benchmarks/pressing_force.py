@@ -29,7 +29,7 @@ from resync_robot.hardware.room import Room
 from resync_robot.hardware.sim import SimRobot
 from resync_robot.hardware.yielding import Yielding
 from resync_robot.knowledge import learned_model, shipped_library
-from resync_robot.planning.execute import Listener, plan_f
+from resync_robot.planning.execute import Listener, plan_and_execute
 from resync_robot.sim_training.domains import find_domain, world_task
 from resync_robot.sim_training.world import SimWorld
 
@@ -175,7 +175,7 @@ def press(library: Library, rig: Rig, way: str, scenario: str, seed: int, delay:
     with WAYS[way](simulated, rig, delay) as robot:
         world = OracleWorld(robot, {}, rig, task.objects, live_state=simulated.perceive)
         heard = UntilRecovered(robot, simulated)
-        end = plan_f(world, learned_model(domain, rig, library, None), task.goal, listener=heard)
+        end = plan_and_execute(world, learned_model(domain, rig, library, None), task.goal, listener=heard)
     if not robot.forces:
         return f"| {seed} | {way} | {heard.ending}, {end.end.value} | | | | |"
     felt, contact = np.array(robot.forces).T

@@ -1,6 +1,7 @@
 """A library comes back as it was saved; any other folder is refused, and nothing in it can run."""
 
 import errno
+import hashlib
 import json
 import os
 import subprocess
@@ -11,9 +12,14 @@ import numpy as np
 import pytest
 
 from resync_robot.core.errors import DiskError, LibraryError
-from resync_robot.core.library import Library, Record, load_library, save_library
+from resync_robot.core.library import LearnedFailure, LearnedStage, Library, Record, load_library, save_library
 
+GAUSSIANS = {"box": {"mean": [0.0, 1.0]}, "can": {"mean": [2.0]}}
+FAILURE = LearnedFailure(
+    skill="Pick", argument=1, objects={"can": "can", "box": "box"}, before=GAUSSIANS, after=GAUSSIANS
+)
 LIBRARY = Library(
+    types_hash="0123",
     domain="test",
     rig_hash="abc",
     domain_pddl="(define (domain test))\n",
@@ -22,7 +28,10 @@ LIBRARY = Library(
         "Recover": Record({"rate_hz": 10.0}, {"b": np.ones(4, np.float32), "a": np.zeros((2, 2), np.float32)}),
         "Pick": Record({"rate_hz": 20.0}),
     },
-    gaussians={"pairs": [[0.0, 1.0]]},
+    stages=(
+        LearnedStage(recovery="Recover", scenario="s0", failure=FAILURE, figures={"seconds": 3.5}),
+        LearnedStage(recovery="Push", scenario="s1", failure=replace(FAILURE, argument=2)),
+    ),
     provenance={"seed": 3, "seconds": 12.5},
     policies={"Recover": {"config.json": b"{}", "model.safetensors": b"\x00\x01" * 50}},
 )
@@ -37,7 +46,8 @@ def folder(tmp_path: Path) -> Path:
 def test_a_saved_library_comes_back(folder: Path) -> None:
     back = load_library(folder)
     assert (back.domain, back.rig_hash, back.domain_pddl) == ("test", "abc", LIBRARY.domain_pddl)
-    assert (back.gaussians, back.provenance) == (LIBRARY.gaussians, LIBRARY.provenance)
+    assert back.types_hash == LIBRARY.types_hash == "0123"
+    assert (back.stages, back.provenance) == (LIBRARY.stages, LIBRARY.provenance)
     assert back.policies == LIBRARY.policies
     for found, saved in ((back.predicates, LIBRARY.predicates), (back.skills, LIBRARY.skills)):
         assert set(found) == set(saved)
@@ -51,6 +61,10 @@ def test_a_saved_library_comes_back(folder: Path) -> None:
 
 def test_the_content_hash_knows_behaviour_and_not_the_date() -> None:
     assert replace(LIBRARY, provenance={"seed": 4}).content_hash == LIBRARY.content_hash
+    assert replace(LIBRARY, stages=(replace(LIBRARY.stages[0], figures={}), LIBRARY.stages[1])).content_hash == (
+        LIBRARY.content_hash
+    )
+    assert replace(LIBRARY, stages=LIBRARY.stages[::-1]).content_hash != LIBRARY.content_hash
     assert replace(LIBRARY, domain_pddl="(define)").content_hash != LIBRARY.content_hash
     weights = {"free": Record({"types": ["block"]}, {"w": np.zeros((2, 3), np.float32)})}
     assert replace(LIBRARY, predicates=weights).content_hash != LIBRARY.content_hash
@@ -99,7 +113,7 @@ def test_the_rest_of_a_save_that_was_killed_does_no_harm(folder: Path) -> None:
 def files() -> list[str]:
     return [
         "domain.pddl",
-        "gaussians.json",
+        "stages/2-Push.json",
         "provenance.json",
         "predicates/free.json",
         "predicates/free.safetensors",
@@ -178,7 +192,50 @@ def alter_manifest(folder: Path, **values: object) -> None:
 
 def test_another_version_is_refused(folder: Path) -> None:
     alter_manifest(folder, version=99)
-    refused(folder, "version 99", "reads version 2")
+    refused(folder, "version 99", "reads version 3")
+
+
+def test_a_library_of_one_stage_only_is_refused_with_what_to_use_instead(folder: Path) -> None:
+    """Version 2 had no stages; the message says what there is in its place."""
+    alter_manifest(folder, version=2)
+    with pytest.raises(LibraryError, match="is a library of version 2") as caught:
+        load_library(folder)
+    assert "leave out --library" in caught.value.fix and "train-sim" in caught.value.fix
+
+
+def alter_stage(folder: Path, to: str = "stages/2-Push.json", **values: object) -> None:
+    """Change fields of the second stage, or its name, and list what comes of it."""
+    path = folder / "stages/2-Push.json"
+    saved = json.loads(path.read_text())
+    if isinstance(failure := values.get("failure"), dict):
+        values = {**values, "failure": {**saved["failure"], **failure}}
+    path.unlink()
+    (folder / to).write_text(json.dumps({**saved, **values}))
+    listed = json.loads((folder / "library.json").read_text())["files"]
+    del listed["stages/2-Push.json"]
+    alter_manifest(folder, files={**listed, to: hashlib.sha256((folder / to).read_bytes()).hexdigest()})
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"recovery": "Pull"}, "it is about Pull"),
+        ({"scenario": 3}, "'scenario'"),
+        ({"failure": {"argument": "block"}}, "'failure.argument'"),
+        ({"failure": {"objects": {}}}, "before and after for each object"),
+        ({"failure": {"after": {"box": {}}}}, "before and after for each object"),
+        ({"failure": []}, "'failure'"),
+    ],
+)
+def test_a_stage_that_is_none_is_refused(folder: Path, changes: dict[str, object], word: str) -> None:
+    alter_stage(folder, **changes)  # type: ignore[arg-type]
+    refused(folder, "2-Push.json is no stage", word)
+
+
+@pytest.mark.parametrize("name", ["stages/3-Push.json", "stages/02-Push.json", "stages/Push-Push.json"])
+def test_stages_that_do_not_count_from_one_are_refused(folder: Path, name: str) -> None:
+    alter_stage(folder, to=name)
+    refused(folder, "should count from 1")
 
 
 @pytest.mark.parametrize("name", ["../secret", "predicates/../../secret", "/etc/hostname"])
@@ -207,8 +264,6 @@ def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
 
 
 def test_weights_that_are_none_are_refused_though_their_hash_is_right(folder: Path) -> None:
-    import hashlib
-
     junk = b"\x80\x04junk that a pickle reader would run"
     (folder / "predicates/free.safetensors").write_bytes(junk)
     listed = json.loads((folder / "library.json").read_text())["files"]

@@ -1,11 +1,13 @@
 """Grounding and lifting mirror each other; what is ill-typed cannot be built."""
 
+import pickle
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from resync_robot.core.errors import PlanningError
-from resync_robot.core.symbols import Operator, Predicate, Type, Variable, distinct_products
+from resync_robot.core.symbols import SE2, SE3, Operator, Predicate, Type, Variable, distinct_products
 
 BLOCK, ROBOT = Type("block", ("x",)), Type("robot", ("x",))
 ON, HOLDING, CLEAR = Predicate("On", (BLOCK, BLOCK)), Predicate("Holding", (ROBOT, BLOCK)), Predicate("Clear", (BLOCK,))
@@ -85,3 +87,28 @@ def test_distinct_products_count_the_arrangements(objects: int, places: int) -> 
     for k in range(places):
         expected *= max(objects - k, 0)
     assert len(tuples) == len(set(tuples)) == expected
+
+
+def test_what_a_type_declares_says_what_its_features_mean_and_not_which_type_it_is() -> None:
+    plain, declared = Type("car", (*SE2, "w", "h")), Type("car", (*SE2, "w", "h"), pose=SE2, extents=("w", "h"))
+    assert plain == declared and hash(plain) == hash(declared) and plain != Type("car", SE2)
+    assert (plain.dimensions, declared.dimensions, Type("arm", SE3, pose=SE3).dimensions) == (0, 2, 3)
+    again = pickle.loads(pickle.dumps(declared))  # noqa: S301
+    assert (again.pose, again.extents, again.symmetry, again.exact) == (SE2, ("w", "h"), 1, False)
+
+
+@pytest.mark.parametrize(
+    ("declared", "why"),
+    [
+        ({"pose": ("x", "y")}, "has the pose .*declare pose=SE2, SE3 or None"),
+        ({"pose": SE3}, "do not begin with its pose.*begin them with x, y, z, qw"),
+        ({"pose": SE2, "extents": ("w",)}, r"has the extents \(w\).*one of its features for each axis"),
+        ({"pose": SE2, "extents": ("w", "depth")}, r"has the extents \(w, depth\)"),
+        ({"extents": ("w", "h")}, r"has the extents \(w, h\)"),
+        ({"pose": SE2, "symmetry": -1}, "has the symmetry -1.*declare 1, 2, 4 or ROUND"),
+        ({"pose": SE2, "extents": ("w", "h"), "symmetry": 3}, "has the symmetry 3"),
+    ],
+)
+def test_a_type_that_contradicts_itself_is_refused(declared: dict, why: str) -> None:
+    with pytest.raises(PlanningError, match=f"(?s){why}"):
+        Type("car", (*SE2, "w", "h"), **declared)

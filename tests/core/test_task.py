@@ -1,6 +1,7 @@
 """Goals as text."""
 
 from dataclasses import fields
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -8,7 +9,7 @@ from hypothesis import strategies as st
 
 from resync_robot.core.errors import PlanningError, ResyncError, UnknownNameError
 from resync_robot.core.symbols import Object, Predicate
-from resync_robot.core.task import Domain, parse_atoms
+from resync_robot.core.task import Domain, Scenario, parse_atoms
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT, TYPES
 
 ON, IN, EMPTY = Predicate("On", (BLOCK, BLOCK)), Predicate("In", (BLOCK, BOX)), Predicate("HandEmpty", (ROBOT,))
@@ -128,3 +129,16 @@ def test_unknown_scenarios_and_predicates_of_a_domain_are_refused() -> None:
     with pytest.raises(UnknownNameError, match="unknown predicate 'Above'"):
         DOMAIN.predicate("Above")
     assert DOMAIN.predicate("handempty") is EMPTY
+
+
+def test_a_scenario_that_says_only_how_it_is_sampled_practises_and_is_tested_on_that() -> None:
+    def usual(rng: object, seed: int) -> Any:
+        return seed
+
+    def unseen(rng: object, seed: int) -> Any:
+        return -seed
+
+    plain = Scenario("a", "", lambda domain: frozenset(), usual)
+    assert plain.sample_practice is plain.sample_unseen is usual
+    both = Scenario("a", "", lambda domain: frozenset(), usual, sample_unseen=unseen)
+    assert (both.sample_practice, both.sample_unseen) == (usual, unseen)

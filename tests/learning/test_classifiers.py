@@ -13,6 +13,7 @@ from resync_robot.learning.classifiers import NeuralClassifier
 from resync_robot.learning.dataset import merged_dataset
 from resync_robot.learning.effects import Attempts, Candidate, Effect, supervise
 from resync_robot.learning.fit import SCREENING, FitConfig, fit
+from resync_robot.sim_training.domains.corner import RELATIONS
 from tests.learning.toy import BOX_0, Toy
 
 SIGNATURES = {"Pick": (ROBOT, BLOCK), "Insert": (ROBOT, BLOCK, BLOCK), "Recover": (ROBOT, BLOCK, BOX)}
@@ -31,12 +32,12 @@ def one_thread():
 @pytest.fixture(scope="module")
 def data():
     toy = Toy(3)
-    return merged_dataset(toy.dreams(60) + toy.attempts(80, covered=False), "Recover", SIGNATURES)
+    return merged_dataset([toy.dreams(60) + toy.attempts(80, covered=False)], ("Recover",), SIGNATURES)
 
 
 @pytest.fixture(scope="module")
 def fitted(data):
-    return fit(data, READY, supervise(data, READY), 0, QUICK)
+    return fit(data, READY, supervise(data, READY), 0, QUICK, RELATIONS)
 
 
 def test_it_learns_the_boundary_in_every_corner(fitted) -> None:
@@ -50,10 +51,10 @@ def test_it_learns_the_boundary_in_every_corner(fitted) -> None:
 
 
 def test_one_seed_gives_one_classifier(data, fitted) -> None:
-    again = fit(data, READY, supervise(data, READY), 0, QUICK)
+    again = fit(data, READY, supervise(data, READY), 0, QUICK, RELATIONS)
     for (a, b), (c, d) in zip(fitted.classifier.layers, again.classifier.layers, strict=True):
         assert np.array_equal(a, c) and np.array_equal(b, d)
-    other = fit(data, READY, supervise(data, READY), 1, QUICK)
+    other = fit(data, READY, supervise(data, READY), 1, QUICK, RELATIONS)
     assert not np.array_equal(fitted.classifier.layers[0][0], other.classifier.layers[0][0])
 
 
@@ -61,7 +62,7 @@ def test_training_leaves_the_global_random_state_alone(data) -> None:
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
-    fit(data, READY, supervise(data, READY), 0, replace(SCREENING, epochs=1))
+    fit(data, READY, supervise(data, READY), 0, replace(SCREENING, epochs=1), RELATIONS)
     assert torch.equal(torch.rand(3), expected)
 
 
@@ -76,9 +77,11 @@ def test_batch_agrees_with_single_calls(fitted) -> None:
 
 def test_it_survives_a_library_folder(fitted, tmp_path) -> None:
     record = fitted.classifier.to_record({"loss": 0.1})
-    library = Library("d", "hash", "(define (domain d))", {"Ready": record}, {}, {}, {})
+    library = Library("d", "hash", "(define (domain d))", {"Ready": record}, {}, (), {})
     save_library(library, tmp_path / "library")
-    loaded = NeuralClassifier.from_record("Ready", load_library(tmp_path / "library").predicates["Ready"], TYPES)
+    loaded = NeuralClassifier.from_record(
+        "Ready", load_library(tmp_path / "library").predicates["Ready"], TYPES, RELATIONS
+    )
     state = Toy(1).scene(2, lambda i: "corner")
     assert loaded(state, (BLOCK("b0"), BOX_0)) == fitted.classifier(state, (BLOCK("b0"), BOX_0))
 
@@ -95,10 +98,10 @@ def test_it_survives_a_library_folder(fitted, tmp_path) -> None:
 )
 def test_a_broken_record_is_refused(fitted, change, message) -> None:
     with pytest.raises(LibraryError, match=message):
-        NeuralClassifier.from_record("Ready", change(fitted.classifier.to_record()), TYPES)
+        NeuralClassifier.from_record("Ready", change(fitted.classifier.to_record()), TYPES, RELATIONS)
 
 
 def test_nothing_to_tell_apart_is_an_error(data) -> None:
     unseen = Candidate((BLOCK, BOX), (Effect("Fly", (1, 2), 1),))
     with pytest.raises(TrainingError, match="nothing tells true from false"):
-        fit(data, unseen, supervise(data, unseen), 0, QUICK)
+        fit(data, unseen, supervise(data, unseen), 0, QUICK, RELATIONS)

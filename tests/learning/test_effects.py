@@ -24,11 +24,11 @@ def mended() -> Trajectory:
     toy = Toy(0, noise=False)
     state = toy.scene(2, lambda i: "corner" if i == 0 else "free")
     steps = [("Pick", (ROBOT_0, B[0])), ("Insert", (ROBOT_0, B[0], B[1]))]
-    return toy.record(state, steps, GOAL, "before@b0", reactive=True)
+    return toy.record(state, steps, GOAL, "before@b0", mends=1)
 
 
 def test_a_failed_attempt_and_its_recovery_are_one_use_of_the_recovery(mended: Trajectory) -> None:
-    run = merged_dataset([mended], "Recover", SIGNATURES).runs[0]
+    run = merged_dataset([[mended]], ("Recover",), SIGNATURES).runs[0]
     assert [s.skill for s in run.steps] == ["Recover", "Pick", "Insert"]
     assert [s.skill for s in run.failures] == ["Pick"]
     assert run.failures[0].before == run.failures[0].after == run.steps[0].before == run.first
@@ -36,16 +36,16 @@ def test_a_failed_attempt_and_its_recovery_are_one_use_of_the_recovery(mended: T
 
 
 def test_the_published_view_gives_the_failed_attempt_a_symbol(mended: Trajectory) -> None:
-    data = variant_dataset([mended], "Recover", SIGNATURES)
+    data = variant_dataset([[mended]], ("Recover",), SIGNATURES)
     assert [s.skill for s in data.runs[0].steps] == ["Pick_Recover", "Recover", "Pick", "Insert"]
     assert data.signatures["Pick_Recover"] == (ROBOT, BLOCK) and not data.runs[0].failures
 
 
 def test_unknown_skills_and_empty_data_are_refused(mended: Trajectory) -> None:
     with pytest.raises(TrainingError, match="known skills"):
-        merged_dataset([mended], "Recover", {"Pick": (ROBOT, BLOCK)})
+        merged_dataset([[mended]], ("Recover",), {"Pick": (ROBOT, BLOCK)})
     with pytest.raises(TrainingError, match="no trajectory"):
-        merged_dataset([], "Recover", SIGNATURES)
+        merged_dataset([[]], ("Recover",), SIGNATURES)
 
 
 def test_candidates_are_counted_up_to_their_sign() -> None:
@@ -71,7 +71,7 @@ def test_slots_read_a_predicate_through_a_skill() -> None:
 
 
 def test_values_spread_until_the_next_effect(mended: Trajectory) -> None:
-    found = supervise(merged_dataset([mended], "Recover", SIGNATURES), FREE)
+    found = supervise(merged_dataset([[mended]], ("Recover",), SIGNATURES), FREE)
     of_b0 = {(lab.moment, lab.value, lab.direct) for lab in found.labels if lab.atoms == ((B[0], BOX_0),)}
     moments = sorted(of_b0)
     assert [(v, d) for _, v, d in moments] == [(0, True), (1, True), (1, False), (1, False)]
@@ -79,7 +79,7 @@ def test_values_spread_until_the_next_effect(mended: Trajectory) -> None:
 
 
 def test_contradictions_show_without_training(mended: Trajectory) -> None:
-    data = merged_dataset([mended], "Recover", SIGNATURES)
+    data = merged_dataset([[mended]], ("Recover",), SIGNATURES)
     again = Candidate(PAIR, (RECOVERED, Effect("Pick", (1, None), 1)))
     assert supervise(data, again).contradicted
     undone = Candidate(PAIR, (RECOVERED, Effect("Pick", (1, None), -1)))
@@ -89,7 +89,7 @@ def test_contradictions_show_without_training(mended: Trajectory) -> None:
 def test_attempts_label_and_explained_ones_do_not(mended: Trajectory) -> None:
     failed = next(t for t in mended.transitions if not t.succeeded)
     alone = Trajectory((failed,), GOAL, False, "attempt")
-    data = merged_dataset([mended, alone], "Recover", SIGNATURES)
+    data = merged_dataset([[mended, alone]], ("Recover",), SIGNATURES)
     ready = Candidate(PAIR, (RECOVERED,), Attempts("Pick", (1, None)))
     values = [lab.value for lab in supervise(data, ready).labels if lab.run == 1 and lab.direct]
     assert values == [0]
@@ -103,6 +103,6 @@ def test_of_several_boxes_one_is_to_blame() -> None:
     other = BOX("other")
     two = State({**{o: state[o] for o in state}, other: state[BOX_0]})
     tries = [Transition(two, "Pick", (ROBOT_0, B[0]), two, succeeded) for succeeded in (False, True)]
-    data = merged_dataset([Trajectory((t,), GOAL, False, "attempt") for t in tries], "Recover", SIGNATURES)
+    data = merged_dataset([[Trajectory((t,), GOAL, False, "attempt") for t in tries]], ("Recover",), SIGNATURES)
     labels = supervise(data, Candidate(PAIR, (RECOVERED,), Attempts("Pick", (1, None)))).labels
     assert [(len(lab.atoms), lab.value) for lab in labels if lab.direct] == [(2, 0), (1, 1), (1, 1)]

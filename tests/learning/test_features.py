@@ -6,12 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from resync_robot.core.spatial import matrix_from_quat, quat_from_matrix, quat_from_yaw, rotation_about, yaw_of
-from resync_robot.core.symbols import Type
-from resync_robot.core.vocabulary import BLOCK, BOX, POSE, ROBOT
-from resync_robot.learning.features import perturb, relative_features
+from resync_robot.core.symbols import SE2, SE3, Type
+from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.learning import features
+from resync_robot.learning.features import perturb
+from resync_robot.sim_training.domains.corner import RELATIONS
 
 angles = st.floats(-3.1, 3.1)
 offsets = st.floats(-0.4, 0.4)
+
+
+def relative_features(types: tuple[Type, ...], rows: tuple[np.ndarray, ...]) -> np.ndarray:
+    return features.relative_features(types, rows, RELATIONS)
 
 
 def block(x: float, y: float, yaw: float, z: float = 0.0225) -> np.ndarray:
@@ -75,14 +81,14 @@ def test_an_oblong_box_knows_its_long_side(x: float, y: float, yaw: float) -> No
 
 
 def test_unary_nullary_triple_and_unknown_types() -> None:
-    lid = Type("lid", (*POSE, "open"))
+    lid = Type("lid", (*SE3, "open"), pose=SE3)
     lids = np.array([[0.0, 0, 0, 1, 0, 0, 0, 0.5], [0.1, 0, 0, 1, 0, 0, 0, 0.7]])
     blocks = np.repeat(block(0.1, 0.0, 0.0), 2, 0)
     assert relative_features((lid,), (lids,)).shape[0] == 2
     assert relative_features((lid, BLOCK), (lids, blocks)).shape[0] == 2
     assert relative_features((lid, BLOCK, BLOCK), (lids, blocks, blocks)).shape[0] == 2
     switch = Type("switch", ("on",))
-    assert relative_features((switch, BLOCK), (np.ones((2, 1)), blocks)).shape == (2, 11)
+    assert relative_features((switch, BLOCK), (np.ones((2, 1)), blocks)).shape == (2, 10)
 
 
 def test_noise_has_the_size_of_perception_and_spares_the_robot() -> None:
@@ -95,6 +101,15 @@ def test_noise_has_the_size_of_perception_and_spares_the_robot() -> None:
     np.testing.assert_array_equal(noisy[:, 7:], many[:, 7:])
     np.testing.assert_array_equal(perturb(ROBOT, robot(), np.random.default_rng(0)), robot())
     np.testing.assert_array_equal(noisy, perturb(BLOCK, many, np.random.default_rng(0)))
+
+
+def test_noise_goes_where_the_pose_is_declared() -> None:
+    puck = Type("puck", (*SE2, "radius"), pose=SE2)
+    many = np.tile([1.0, 2.0, 0.5, 0.1], (20_000, 1))
+    error = perturb(puck, many, np.random.default_rng(0)) - many
+    np.testing.assert_allclose(error.std(0), [0.002, 0.002, np.deg2rad(0.5), 0.0], rtol=0.05)
+    for spared in (Type("car", SE2, pose=SE2, exact=True), Type("timer", ("x", "y", "theta"))):
+        np.testing.assert_array_equal(perturb(spared, many[:, :3], np.random.default_rng(0)), many[:, :3])
 
 
 @given(x=st.floats(-0.5, 0.5), y=st.floats(0.2, 0.5), other=st.floats(-0.5, 0.5))

@@ -11,9 +11,9 @@ EMPTY, FREE, WET = Predicate("Empty", (ROBOT,)), Predicate("Free", (BLOCK,)), Pr
 PAIR = Predicate("Pair", (BLOCK, BLOCK))
 
 
-def column(atom, before, after=None, failed=(), learned=True) -> Column:
+def column(atom, before, after=None, failed=(), learned=True, stage=None) -> Column:
     as_bool = [np.array(v, dtype=bool) for v in (before, before if after is None else after, failed)]
-    return Column(atom, *as_bool, learned)
+    return Column(atom, *as_bool, learned, np.array([1] * len(failed) if stage is None else stage, dtype=int))
 
 
 def test_atoms_over_distinct_parameters() -> None:
@@ -58,6 +58,17 @@ def test_a_second_condition_must_explain_what_the_first_does_not() -> None:
     other = column(FREE(B1), [1] * 20, failed=[1] * 8 + [0] * 4)
     op = learn_operator("Op", (R, B0, B1), [same, free, other], OperatorConfig())
     assert op is not None and op.preconditions == {FREE(B0), FREE(B1)}
+
+
+def test_each_stage_has_failures_of_its_own_to_explain() -> None:
+    """Three causes, a third of all failures each: none rules out half of them, and each is a condition all the same."""
+    stage, pair = [1] * 10 + [2] * 10 + [3] * 10, PAIR(B0, B1)
+    columns = [
+        column(atom, [1] * 20, failed=[int(n != number) for n in stage], stage=stage)
+        for number, atom in enumerate((FREE(B0), WET(B0), pair), start=1)
+    ]
+    op = learn_operator("Op", (R, B0, B1), columns, OperatorConfig())
+    assert op is not None and op.preconditions == {FREE(B0), WET(B0), pair}
 
 
 def test_a_skill_that_never_succeeded_has_no_operator() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -35,6 +35,7 @@ from resync_robot.learning.recovery_policy import (
     up_axis,
     wall_gaps,
 )
+from resync_robot.sim_training.domains.corner import CORNER
 from tests import scenes
 
 coordinate = st.floats(0.005, 0.11)
@@ -71,6 +72,20 @@ def projected(s: dict[str, object], flip: tuple[int, int] = (1, 1), box_yaw: flo
     tips = [spatial.apply(world_T_box, (flip_T @ s[k])[None])[0] for k in ("tip", "commanded")]
     row = np.concatenate([*tips, block, [scenes.WIDTH, scenes.WIDTH, scenes.HEIGHT], box])
     return torch.as_tensor(row, dtype=torch.float64)[None]
+
+
+@given(situations(), signs, angle)
+def test_the_policy_sees_a_corner_as_the_relation_of_its_domain_does(
+    s: dict[str, object], flip: tuple[int, int], box_yaw: float
+) -> None:
+    """Its columns are those that the shipped networks were trained on, in torch; the geometry is the same."""
+    x = projected(s, flip, box_yaw)
+    gaps, (smaller, larger, *heading) = wall_gaps(x)[0].numpy(), CORNER.see(x[:, BLOCK].numpy(), x[:, BOX].numpy())[0]
+    np.testing.assert_allclose(np.sort(gaps), [smaller, larger], atol=1e-6)
+    assume(abs(gaps[0] - gaps[1]) > 1e-6)
+    # The relation also sorts the axes, which turns a heading round.
+    turn = 1 if gaps[0] < gaps[1] else -1
+    np.testing.assert_allclose(observe(x)[0, 10:12].numpy() * [1, turn], heading, atol=1e-6)
 
 
 @given(situations(), signs, angle)

@@ -6,17 +6,20 @@ a recovery pushes the block `recovered` m clear of every wall. The rules see tru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from resync_robot.core.relations import Relations
 from resync_robot.core.spatial import quat_from_yaw, yaw_of
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, Predicate, Type, Variable
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT, TYPES
-from resync_robot.learning.features import in_box, perturb
+from resync_robot.learning.dataset import StageData
+from resync_robot.learning.features import perturb
+from resync_robot.sim_training.domains.corner import RELATIONS, in_box
 
 HAND_EMPTY, HOLDING = Predicate("HandEmpty", (ROBOT,)), Predicate("Holding", (ROBOT, BLOCK))
 ON = Predicate("On", (BLOCK, BLOCK))
@@ -43,6 +46,7 @@ class Given:
     predicates: tuple[Predicate, ...]
     classifiers: Mapping[str, Callable[[State, tuple[Object, ...]], float]]
     operators: tuple[Operator, ...]
+    relations: Relations = field(default_factory=dict)
 
 
 SIZE, HEIGHT = 0.06, 0.045
@@ -54,7 +58,7 @@ def _hand_empty(state: State, args: tuple[Object, ...]) -> float:
     return float(state.get(args[0], "opening")[0] > 0.09)
 
 
-def _holding(state: State, args: tuple[Object, ...]) -> float:
+def holding(state: State, args: tuple[Object, ...]) -> float:
     robot, block = state[args[0]], state[args[1]]
     return float(robot[7] < 0.09 and np.linalg.norm(robot[:3] - block[:3]) < 0.02)
 
@@ -68,9 +72,15 @@ DOMAIN = Given(
     "toy-insertion",
     tuple(TYPES.values()),
     (HAND_EMPTY, HOLDING, ON),
-    {"HandEmpty": _hand_empty, "Holding": _holding, "On": _on},
+    {"HandEmpty": _hand_empty, "Holding": holding, "On": _on},
     (PICK, INSERT),
+    RELATIONS,
 )
+
+
+def first_stage(trajectories: Sequence[Trajectory]) -> StageData:
+    """Data of the stage that learns `Recover` from failures of Pick."""
+    return StageData(*RECOVERY, "Pick", trajectories)
 
 
 @dataclass
@@ -147,7 +157,7 @@ class Toy:
     def run(self, state: State, skill: str, objects: tuple[Object, ...]) -> tuple[State, bool]:
         """The true state after a skill, and whether it did what its operator promises."""
         robot, block = objects[0], objects[1]
-        held = [b for b in state.of_type(BLOCK) if _holding(state, (robot, b))]
+        held = [b for b in state.of_type(BLOCK) if holding(state, (robot, b))]
         covered = [b for b in state.of_type(BLOCK) if any(_on(state, (o, b)) for o in state.of_type(BLOCK) if o != b)]
         if skill == "Pick":
             if held or block in covered or self.gap(state, block) < self.pick_gap:
@@ -197,15 +207,19 @@ class Toy:
             return state
         return State({o: perturb(o.type, state[o][None], self.rng)[0] for o in state})
 
+    def mend(self, state: State, objects: tuple[Object, ...]) -> tuple[str, tuple[Object, ...]]:
+        """The recovery to try after Pick failed on these objects."""
+        return "Recover", (*objects, BOX_0)
+
     def record(
         self,
         state: State,
         attempts: Iterable[tuple[str, tuple[Object, ...]]],
         goal: Atoms,
         source: str,
-        reactive: bool = False,
+        mends: int = 0,
     ) -> Trajectory:
-        """Run attempts in order until one fails; `reactive` recovers a failed Pick and tries it again."""
+        """Run attempts in order until one fails; up to `mends` failed Picks are mended and tried again."""
         transitions: list[Transition] = []
         queue, seen = list(attempts), self.seen(state)
         while queue:
@@ -215,10 +229,10 @@ class Toy:
             transitions.append(Transition(seen, skill, objects, seen_after, succeeded))
             state, seen = after, seen_after
             if not succeeded:
-                if not (reactive and skill == "Pick"):
+                if not (mends and skill == "Pick"):
                     break
-                queue = [("Recover", (*objects, BOX_0)), (skill, objects), *queue]
-                reactive = False
+                queue = [self.mend(state, objects), (skill, objects), *queue]
+                mends -= 1
         solved = all(_on(state, a.args) for a in goal)  # type: ignore[arg-type]
         return Trajectory(tuple(transitions), goal, solved, source)
 
@@ -238,7 +252,7 @@ class Toy:
                 steps += [("Pick", (ROBOT_0, b[2])), ("Insert", (ROBOT_0, b[2], b[0]))]
                 goal.add(ON(b[2], b[0]))
             source = f"{'before' if before else 'after'}@b{reference}"
-            found = [self.record(state, steps, frozenset(goal), source, reactive=True)]
+            found = [self.record(state, steps, frozenset(goal), source, mends=1)]
             if before and reference == 1 and not found[0].solved:
                 # A base cannot be recovered any more with a block in the hand: once again, recovering it first.
                 first = ("Recover", (ROBOT_0, b[1], BOX_0))
@@ -300,6 +314,6 @@ class Toy:
             done.append(str(step) + ("" if succeeded else " failed"))
             if not succeeded and step.name == "Pick":
                 failed.add(HOLDING(*step.objects))
-            if succeeded and step.name == "Recover":
+            if succeeded and step.name in ("Recover", "Push"):
                 failed.discard(HOLDING(*step.objects[:2]))
         return False, done

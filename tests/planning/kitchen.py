@@ -42,7 +42,7 @@ class Kitchen:
 
     def observe(self, live: bool = False) -> Observation:
         self.log.append(f"observe live={live}")
-        return Observation(self.time, np.zeros(6), np.zeros(6), 0.0, 0.0, np.zeros(3), self.state)
+        return Observation(time=self.time, state=self.state)
 
     def act(self, target: JointTarget, duration: float) -> None:
         self.time += duration / self.pace
@@ -104,7 +104,7 @@ def model(world: Kitchen, **changes: object) -> Model:
         {name: skill(name) for name in does},
         Abstraction(PREDICATES, classifiers),
         changes.get("operators", (UNLID, FILL, WIPE)),
-        changes.get("affordances", {}),
+        changes.get("learned", {}),
     )
 
 

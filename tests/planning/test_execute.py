@@ -1,4 +1,4 @@
-"""Plan_f with a robot that exists on paper only: what it does about what comes true, what does not, and what never."""
+"""The executive with a robot on paper: what it does about what comes true, what does not, and what never does."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Operator
 from resync_robot.core.world import Observation
-from resync_robot.planning.execute import Affordance, End, ExecuteSettings, Model, plan_f, run_skill
+from resync_robot.planning.execute import End, ExecuteSettings, Model, plan_and_execute, run_skill
 from tests.planning.kitchen import (
     CLEAN,
     CUP,
@@ -34,7 +34,7 @@ from tests.planning.kitchen import (
 
 def test_a_plan_that_works_is_carried_out_step_by_step() -> None:
     world = kitchen()
-    result = plan_f(world, model(world), GOAL)
+    result = plan_and_execute(world, model(world), GOAL)
     assert result.success and result.end is End.GOAL and result.reason == ""
     assert [t.skill for t in result.transitions][-1] == "Fill"
     assert {t.skill for t in result.transitions} == {"Unlid", "Wipe", "Fill"}
@@ -47,14 +47,14 @@ def test_a_plan_that_works_is_carried_out_step_by_step() -> None:
 
 def test_a_goal_that_holds_already_moves_nothing() -> None:
     world = kitchen(full="a")
-    result = plan_f(world, model(world), GOAL)
+    result = plan_and_execute(world, model(world), GOAL)
     assert result.success and not result.transitions and not result.plans
     assert not any(line.startswith("act") for line in world.log)
 
 
 def test_listeners_hear_everything_in_its_order() -> None:
     world, notes = kitchen(open="a", clean="a"), Notes()
-    plan_f(world, model(world), GOAL, listener=notes)
+    plan_and_execute(world, model(world), GOAL, listener=notes)
     controls = ["control"] * 2
     assert notes.heard == [
         "perceived",
@@ -79,7 +79,9 @@ def test_it_plans_again_where_an_effect_is_missing_though_the_skill_said_done() 
         return setting("open")(cup) if len(opened) > 1 else nothing(cup)
 
     notes = Notes()
-    result = plan_f(world, model(world, Unlid=(opens_the_second_time, Outcome(Ending.DONE))), GOAL, listener=notes)
+    result = plan_and_execute(
+        world, model(world, Unlid=(opens_the_second_time, Outcome(Ending.DONE))), GOAL, listener=notes
+    )
     assert result.success
     assert [(t.skill, t.succeeded) for t in result.transitions] == [("Unlid", False), ("Unlid", True), ("Fill", True)]
     assert notes.plans == ["Unlid(a), Fill(a)"] * 2
@@ -95,7 +97,9 @@ def test_it_plans_again_where_the_next_step_lost_its_precondition() -> None:
         spilled.append(1)
         return lambda state: state.with_features(cup, open=1.0, clean=float(len(spilled) > 1))
 
-    result = plan_f(world, model(world, Unlid=(opens_and_soils_once, Outcome(Ending.DONE))), GOAL, listener=notes)
+    result = plan_and_execute(
+        world, model(world, Unlid=(opens_and_soils_once, Outcome(Ending.DONE))), GOAL, listener=notes
+    )
     assert result.success
     assert [t.skill for t in result.transitions] == ["Unlid", "Wipe", "Fill"]
     assert notes.reasons[1] == "Fill(a) needs Clean(a)" and not notes.failed
@@ -105,14 +109,14 @@ def test_a_missing_delete_effect_counts_as_failure() -> None:
     drain = Operator("Fill", (X,), frozenset({OPEN(X)}), frozenset({FULL(X)}), frozenset({OPEN(X)}))
     world = kitchen(open="ab")
     two = frozenset({FULL(A), FULL(B)})
-    result = plan_f(world, model(world, operators=(drain, UNLID)), two, ExecuteSettings(max_failures=1))
+    result = plan_and_execute(world, model(world, operators=(drain, UNLID)), two, ExecuteSettings(max_failures=1))
     assert result.end is End.STUCK
     assert not result.transitions[0].succeeded
 
 
 def test_a_goal_beyond_every_operator_ends_with_no_plan() -> None:
     world = kitchen()
-    result = plan_f(world, model(world, operators=(UNLID,)), GOAL)
+    result = plan_and_execute(world, model(world, operators=(UNLID,)), GOAL)
     assert result.end is End.NO_PLAN and not result.success
     assert "Full(a)" in result.reason
 
@@ -120,7 +124,7 @@ def test_a_goal_beyond_every_operator_ends_with_no_plan() -> None:
 def test_the_same_failure_again_and_again_ends_stuck() -> None:
     world = kitchen(open="a", clean="a")
     blocked = (nothing, Outcome(Ending.BLOCKED, "a wall"))
-    result = plan_f(world, model(world, Fill=blocked), GOAL, ExecuteSettings(max_failures=2))
+    result = plan_and_execute(world, model(world, Fill=blocked), GOAL, ExecuteSettings(max_failures=2))
     assert result.end is End.STUCK
     assert [t.succeeded for t in result.transitions] == [False, False]
     assert "blocked: a wall" in result.reason
@@ -128,32 +132,32 @@ def test_the_same_failure_again_and_again_ends_stuck() -> None:
 
 def test_what_was_learned_is_doubted_where_restoring_it_fails_again_and_again() -> None:
     """Clean is said to be false whatever is wiped; filling the cup works all the same."""
-    unwiped, relies = (nothing, Outcome(Ending.DONE)), {"Fill": Affordance("Clean", 0)}
+    unwiped, learned = (nothing, Outcome(Ending.DONE)), {"Clean": None}
     world = kitchen(open="a")
     notes = Notes()
-    result = plan_f(world, model(world, Wipe=unwiped, affordances=relies), GOAL, listener=notes)
+    result = plan_and_execute(world, model(world, Wipe=unwiped, learned=learned), GOAL, listener=notes)
     assert [t.skill for t in result.transitions] == ["Wipe", "Wipe", "Fill"]
     assert result.success
-    assert notes.reasons[-1].endswith("Clean(a) taken for granted now")
+    assert [t.succeeded for t in result.transitions] == [False, True, True]
+    assert 0.9 < notes.seen[2][CLEAN(A)] < 1, "and it is told so"
 
     world = kitchen(open="a")
     broken = (nothing, Outcome(Ending.BLOCKED))
-    result = plan_f(world, model(world, Wipe=broken, affordances=relies), GOAL)
+    result = plan_and_execute(world, model(world, Wipe=broken, learned=learned), GOAL)
     assert [t.skill for t in result.transitions] == ["Wipe"] * 4 + ["Fill"], "later where the skill agrees"
     assert result.success
 
     world = kitchen(open="a")
-    assert not plan_f(world, model(world, Wipe=unwiped), GOAL).success, "what was given is not doubted"
+    assert not plan_and_execute(world, model(world, Wipe=unwiped), GOAL).success, "what was given is not doubted"
 
 
 def test_a_skill_that_was_tried_against_what_was_learned_and_failed_is_not_tried_at_once_again() -> None:
     world = kitchen(open="a")
-    relies = {"Fill": Affordance("Clean", 0)}
     unfilled = model(
-        world, Wipe=(nothing, Outcome(Ending.DONE)), Fill=(nothing, Outcome(Ending.BLOCKED)), affordances=relies
+        world, Wipe=(nothing, Outcome(Ending.DONE)), Fill=(nothing, Outcome(Ending.BLOCKED)), learned={"Clean": None}
     )
-    result = plan_f(world, unfilled, GOAL)
-    assert [t.skill for t in result.transitions] == ["Wipe", "Wipe", "Fill", "Wipe", "Fill", "Wipe", "Fill", "Wipe"]
+    result = plan_and_execute(world, unfilled, GOAL)
+    assert [t.skill for t in result.transitions] == ["Wipe", *["Wipe", "Fill"] * 5]
     assert result.end is End.STUCK
 
 
@@ -167,19 +171,30 @@ def test_failures_are_counted_for_each_ground_skill_by_itself() -> None:
 
     two = frozenset({FULL(A), FULL(B)})
     settings = ExecuteSettings(max_failures=2)
-    assert plan_f(world, model(world, Fill=(fills_the_second_time, Outcome(Ending.DONE))), two, settings).success
+    assert plan_and_execute(
+        world, model(world, Fill=(fills_the_second_time, Outcome(Ending.DONE))), two, settings
+    ).success
 
 
 def test_too_many_skills_end_exhausted() -> None:
     world = kitchen()
-    result = plan_f(world, model(world), GOAL, ExecuteSettings(max_skills=2))
+    result = plan_and_execute(world, model(world), GOAL, ExecuteSettings(max_skills=2))
     assert result.end is End.EXHAUSTED
     assert len(result.transitions) == 2
 
 
+def test_an_episode_ends_at_its_horizon_of_control_steps() -> None:
+    world = kitchen()
+    result = plan_and_execute(world, model(world), GOAL, ExecuteSettings(horizon=3))
+    assert (result.end, result.reason) == (End.EXHAUSTED, "3 control steps were taken")
+    assert [t.succeeded for t in result.transitions] == [True, False], "the second skill was cut short"
+    world = kitchen()
+    assert plan_and_execute(world, model(world), GOAL, ExecuteSettings(horizon=6)).success
+
+
 def test_a_declined_step_stops_the_episode_before_it_moves() -> None:
     world, notes = kitchen(clean="a"), Notes(decline="Fill(a)")
-    result = plan_f(world, model(world), GOAL, listener=notes)
+    result = plan_and_execute(world, model(world), GOAL, listener=notes)
     assert result.end is End.STOPPED
     assert result.reason == "Fill(a) was declined"
     assert "start Unlid(a)" in notes.heard and "start Fill(a)" not in notes.heard
@@ -188,7 +203,7 @@ def test_a_declined_step_stops_the_episode_before_it_moves() -> None:
 
 def test_a_plan_that_is_only_asked_for_ends_planned_and_nothing_is_run_or_asked() -> None:
     world, notes = kitchen(), Notes(decline="Unlid(a)")
-    result = plan_f(world, model(world), GOAL, ExecuteSettings(plan_only=True), notes)
+    result = plan_and_execute(world, model(world), GOAL, ExecuteSettings(plan_only=True), notes)
     assert (result.end, result.success, result.transitions) == (End.PLANNED, False, ())
     assert result.reason == f"{len(result.plans[0].steps)} steps"
     assert notes.heard[-1] == "over: planned" and not [h for h in notes.heard if h.startswith("start ")]
@@ -206,7 +221,7 @@ def test_a_reaction_is_asked_after_a_failure_and_its_skill_is_run() -> None:
         asked.append((str(failed), state))
         return known.skill("Wipe").ground((B,))
 
-    result = plan_f(world, known, GOAL, reaction=react)
+    result = plan_and_execute(world, known, GOAL, reaction=react)
     assert result.success
     assert [str(a) for a, _ in asked] == ["Fill(a)"]
     assert [(t.skill, t.objects, t.succeeded) for t in result.transitions] == [
@@ -220,7 +235,7 @@ def test_a_reaction_is_asked_after_a_failure_and_its_skill_is_run() -> None:
 def test_a_reaction_may_decline() -> None:
     world = kitchen(open="a", clean="a")
     known = model(world, Fill=(nothing, Outcome(Ending.BLOCKED)))
-    result = plan_f(world, known, GOAL, reaction=lambda failed, state: None)
+    result = plan_and_execute(world, known, GOAL, reaction=lambda failed, state: None)
     assert result.end is End.STUCK
     assert {t.skill for t in result.transitions} == {"Fill"}
 
@@ -263,11 +278,13 @@ def test_an_operator_without_a_skill_is_named() -> None:
     whole = model(world)
     without = Model({k: s for k, s in whole.skills.items() if k != "Wipe"}, whole.abstraction, whole.operators)
     with pytest.raises(UnknownNameError, match="Wipe"):
-        plan_f(world, without, frozenset({CLEAN(A)}))
+        plan_and_execute(world, without, frozenset({CLEAN(A)}))
 
 
 def test_a_result_keeps_every_plan() -> None:
     world = kitchen(open="a", clean="a")
-    result = plan_f(world, model(world, Fill=(nothing, Outcome(Ending.DONE))), GOAL, ExecuteSettings(max_failures=3))
+    result = plan_and_execute(
+        world, model(world, Fill=(nothing, Outcome(Ending.DONE))), GOAL, ExecuteSettings(max_failures=3)
+    )
     assert len(result.plans) == 3
     assert all(str(p) == "Fill(a)" for p in result.plans)

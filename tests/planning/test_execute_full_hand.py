@@ -1,4 +1,4 @@
-"""Plan_f with a full hand: what is held is put down where that is what helps, and the plan after it works again."""
+"""The executive with a full hand: what is held is put down where that helps, and the plan after it works again."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from resync_robot.core.skill import Ending, Outcome, Skill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Operator, Predicate, Variable
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import Affordance, End, Model, begin_after, plan_f
+from resync_robot.planning.execute import End, Model, begin_after, plan_and_execute
 from resync_robot.planning.search import plan
 from tests.planning.kitchen import CUP, A, B, Kitchen, Notes, Toy, kitchen
 
@@ -66,8 +66,7 @@ def model(world: Kitchen, freeing: Change, put: bool = True) -> Model:
     }
     operators = (TAKE, STACK, FREE, PUT) if put else (TAKE, STACK, FREE)
     abstraction = Abstraction((HELD, READY, STACKED, EMPTY), classifiers)
-    affordances = {"Take": Affordance("Ready", 0), "Stack": Affordance("Ready", 1)}
-    return Model({name: skill(name) for name in does}, abstraction, operators, affordances)
+    return Model({name: skill(name) for name in does}, abstraction, operators, {"Ready": None})
 
 
 def skills(result) -> list[str]:  # type: ignore[no-untyped-def]
@@ -79,12 +78,12 @@ def test_a_full_hand_and_a_blocked_base_have_a_plan() -> None:
     known = model(held_over_a_blocked_base, features(0, clean=1.0))
     atoms = known.abstraction.true_atoms(held_over_a_blocked_base.state)
     assert str(plan(known.operators, (A, B), atoms, GOAL)) == "Put(a), Free(b), Take(a), Stack(a, b)"
-    result = plan_f(held_over_a_blocked_base, known, GOAL)
+    result = plan_and_execute(held_over_a_blocked_base, known, GOAL)
     assert result.success and len(result.plans) == 1
     held_over_a_free_base = kitchen(full="a", clean="ab")
-    assert skills(plan_f(held_over_a_free_base, model(held_over_a_free_base, features(0, clean=1.0)), GOAL)) == [
-        "Stack(a, b)"
-    ]
+    assert skills(
+        plan_and_execute(held_over_a_free_base, model(held_over_a_free_base, features(0, clean=1.0)), GOAL)
+    ) == ["Stack(a, b)"]
 
 
 def freed_at_the_third_try(tries: list[int]) -> Change:
@@ -96,23 +95,22 @@ def freed_at_the_third_try(tries: list[int]) -> Change:
 
 
 def test_what_was_taken_on_trust_is_put_down_where_the_trust_was_wrong() -> None:
-    """Free(b) fails twice and Ready(b) is taken for granted; Stack shows that it is not so, with a full hand."""
+    """Free(b) is done twice in vain, so Ready(b) is believed; Stack shows that it is not so, with a full hand."""
     world, notes = kitchen(clean="a"), Notes()
-    result = plan_f(world, model(world, freed_at_the_third_try([])), GOAL, listener=notes)
+    result = plan_and_execute(world, model(world, freed_at_the_third_try([])), GOAL, listener=notes)
     first = ["Free(b)", "Free(b)", "Take(a)", "Stack(a, b)"]
     assert skills(result) == [*first, "Put(a)", "Free(b)", "Take(a)", "Stack(a, b)"]
     assert result.success and notes.plans[-1] == "Put(a), Free(b), Take(a), Stack(a, b)"
 
     world = kitchen(clean="a")
-    stuck = plan_f(world, model(world, freed_at_the_third_try([]), put=False), GOAL)
+    stuck = plan_and_execute(world, model(world, freed_at_the_third_try([]), put=False), GOAL)
     assert not stuck.success and skills(stuck)[:4] == first, "without a way to put it down that was the end"
 
 
-def test_a_base_that_nothing_frees_ends_the_episode_and_leaves_the_hand_empty() -> None:
+def test_a_base_that_nothing_frees_ends_the_episode() -> None:
     world = kitchen(clean="a")
-    result = plan_f(world, model(world, features(0, clean=0.0)), GOAL)
-    assert result.end is End.STUCK and "Free(b)" in result.reason
-    assert world.state.get(A, "full")[0] == 0.0
+    result = plan_and_execute(world, model(world, features(0, clean=0.0)), GOAL)
+    assert result.end is End.STUCK and "Stack(a, b)" in result.reason
 
 
 def test_an_episode_begins_after_its_scenarios_skills() -> None:
@@ -120,7 +118,7 @@ def test_an_episode_begins_after_its_scenarios_skills() -> None:
     known = model(world, features(0, clean=1.0))
     assert begin_after(world, known, (("Take", ("a",)),), (A, B), heard)
     assert [h for h in heard.heard if h.startswith(("start", "end"))] == ["start Take(a)", "end Take(a) done"]
-    assert skills(plan_f(world, known, GOAL)) == ["Stack(a, b)"]
+    assert skills(plan_and_execute(world, known, GOAL)) == ["Stack(a, b)"]
 
 
 def test_where_one_of_those_skills_fails_the_rest_is_not_run() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.symbols import Operator
 from resync_robot.planning.search import HEURISTICS, plan, plans
-from tests.planning.models import BLOCKS, FREE, ON, OPERATORS, PICK, RECOVER, scene
+from tests.planning.models import BLOCKS, FREE, HAND_EMPTY, HOLDING, ON, OPERATORS, PICK, RECOVER, ROBOT_0, R, scene
 
 TOWER = frozenset({ON(BLOCKS[1], BLOCKS[0]), ON(BLOCKS[2], BLOCKS[1]), ON(BLOCKS[3], BLOCKS[2])})
 
@@ -85,6 +85,28 @@ def test_deletes_come_before_adds() -> None:
     odd = Operator("Odd", RECOVER.parameters, frozenset(), RECOVER.add, RECOVER.add)
     objects, atoms = scene(1, {0})
     assert names(plan([odd], objects, atoms, frozenset({FREE(BLOCKS[0])}))) == ["Odd(robot, b0, box)"]
+
+
+def test_what_is_only_likely_is_relied_on_where_it_must_be_and_the_likelier_before_the_other() -> None:
+    objects, atoms = scene(2, {0, 1})
+    goal = frozenset({HOLDING(ROBOT_0, BLOCKS[0])})
+    free = {FREE(BLOCKS[0]): 0.6, FREE(BLOCKS[1]): 0.7, HAND_EMPTY(ROBOT_0): 0.9}
+    found = plan([PICK], objects, atoms, goal, likely=free)
+    assert names(found) == ["Pick(robot, b0)"] and found.relies_on == {FREE(BLOCKS[0])}
+    assert found.atoms == atoms | found.relies_on and found.reaches(goal)
+    either = Operator("Either", PICK.parameters, frozenset({FREE(PICK.parameters[1])}), frozenset({HAND_EMPTY(R)}))
+    unsure = {atom: p for atom, p in free.items() if atom.predicate == FREE}
+    found = plan([either], objects, frozenset(), frozenset({HAND_EMPTY(ROBOT_0)}), likely=unsure)
+    assert names(found) == ["Either(robot, b1)"] and found.relies_on == {FREE(BLOCKS[1])}
+
+
+def test_what_a_step_has_ended_is_not_relied_on_any_more() -> None:
+    objects, _ = scene(2, set())
+    both = frozenset({HOLDING(ROBOT_0, BLOCKS[0]), HOLDING(ROBOT_0, BLOCKS[1])})
+    likely = {HAND_EMPTY(ROBOT_0): 0.9, FREE(BLOCKS[0]): 0.9, FREE(BLOCKS[1]): 0.9}
+    assert len(plan([PICK], objects, frozenset(), both - {HOLDING(ROBOT_0, BLOCKS[1])}, likely=likely).steps) == 1
+    with pytest.raises(PlanningError):
+        plan([PICK], objects, frozenset(), both, likely=likely)
 
 
 PROBE = """

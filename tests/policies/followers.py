@@ -9,7 +9,7 @@ import numpy as np
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.state import State
-from resync_robot.core.world import Observation
+from resync_robot.core.world import ArmObservation
 from tests.scenes import R
 
 RIG = load_rig()
@@ -32,10 +32,18 @@ class Follower:
     limits: list[tuple[float, ...] | None] = field(default_factory=list)
     tips: list[np.ndarray] = field(default_factory=list)
 
-    def observe(self, live: bool = False) -> Observation:
+    def observe(self, live: bool = False) -> ArmObservation:
         features = {o: self.scene[o] for o in self.scene} | {R: self.rig.robot_features(self.arm, self.opening)}
         told = self.opening if self.told is None else self.told
-        return Observation(self.time, self.arm, np.zeros(6), self.opening, told, self.force, State(features))
+        return ArmObservation(
+            time=self.time,
+            state=State(features),
+            arm=self.arm,
+            arm_velocity=np.zeros(6),
+            opening=self.opening,
+            told_opening=told,
+            tip_force=self.force,
+        )
 
     def perceive(self) -> State:
         return self.observe().state

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from resync_robot.core.skill import Ending, Outcome
-from resync_robot.core.world import Cutout, Observation, Ready, Window, awaited
+from resync_robot.core.world import ArmObservation, Cutout, Ready, Window, awaited
 from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS, Prediction
 from resync_robot.learning.recovery_policy import LOWEST_TIP
 from resync_robot.planning.execute import run_skill
@@ -41,7 +41,7 @@ class Seeing(Follower):
     late: float = 0.0
     ready: Ready = awaited
 
-    def observe(self, live: bool = False) -> Observation:
+    def observe(self, live: bool = False) -> ArmObservation:
         return replace(super().observe(live), look=self.look, ready=self.ready)
 
     def look(self, name: str, window: Window, size: int) -> Cutout:

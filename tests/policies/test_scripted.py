@@ -12,7 +12,7 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import Ending, Outcome
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
-from resync_robot.core.world import Observation
+from resync_robot.core.world import ArmObservation
 from resync_robot.learning.failures import CONTACT_THRESHOLD_N
 from resync_robot.planning.execute import run_skill
 from resync_robot.policies.scripted import ScriptedSettings, scripted_skills
@@ -100,7 +100,7 @@ class Misled(SimWorld):
 
     error = 0.0
 
-    def observe(self, live: bool = False) -> Observation:
+    def observe(self, live: bool = False) -> ArmObservation:
         seen = super().observe(live)
         wrong = seen.state.with_features(B1, x=seen.state.get(B1, "x")[0] + self.error)
         return replace(seen, state=wrong)
@@ -199,7 +199,7 @@ def test_what_stands_where_nobody_knew_of_it_sends_the_block_to_another_place() 
 class Hidden(SimWorld):
     """A world whose observations show b1 in the box, wherever it stands."""
 
-    def observe(self, live: bool = False) -> Observation:
+    def observe(self, live: bool = False) -> ArmObservation:
         seen = super().observe(live)
         return replace(seen, state=seen.state.with_features(B1, x=scenes.BOX_X + 0.07, y=0.05, z=0.03))
 

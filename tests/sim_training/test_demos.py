@@ -37,6 +37,7 @@ from resync_robot.sim_training.demos.recoveries import RenderedRecovery, tilted
 from resync_robot.sim_training.demos.rollouts import RolloutSettings, Segment, demonstrate, look_around, try_student
 from resync_robot.sim_training.demos.starts import Start, draw_start
 from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.domains.corner import CORNER
 from resync_robot.sim_training.recovery import RecoverySettings
 from resync_robot.sim_training.world import SimWorld
 from tests import scenes
@@ -52,7 +53,7 @@ def gaussians() -> dict[str, PairGaussian]:
     rng = np.random.default_rng(0)
     deep = [np.array([0.001, 0.002, 0.0, 1.0]) + rng.normal(0, 0.0003, 4) for _ in range(20)]
     clear = [np.array([0.05, 0.06, 0.0, 1.0]) + rng.normal(0, 0.003, 4) for _ in range(20)]
-    return {"before": PairGaussian.fit(deep), "after": PairGaussian.fit(clear)}
+    return {"before": PairGaussian.fit(deep, CORNER.resolution), "after": PairGaussian.fit(clear, CORNER.resolution)}
 
 
 def still(seen: torch.Tensor) -> torch.Tensor:

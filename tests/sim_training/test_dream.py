@@ -11,7 +11,7 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.knowledge import model_with_recovery
-from resync_robot.learning.failures import PairGaussian, relative_pose
+from resync_robot.learning.failures import PairGaussian
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.dream import (
     COMBINATIONS,
@@ -49,10 +49,10 @@ def test_the_reference_is_where_its_gaussian_says_and_the_others_are_free(when: 
     for seed in range(5):
         task = dream_task(DreamSpec(when, reference, seed), CORNERED, GAUSSIANS)
         block = BLOCK(REFERENCES[reference])
-        gaps = relative_pose(task.initial, block, THE_BOX)[:2]
+        gaps = scenes.in_box(task.initial, block)[:2]
         np.testing.assert_allclose(gaps, GAUSSIANS[when].mean[:2], atol=1e-3)
         for other in set(task.initial.of_type(BLOCK)) - {block}:
-            assert relative_pose(task.initial, other, THE_BOX)[0] < -0.05
+            assert scenes.in_box(task.initial, other)[0] < -0.05
         assert block in task.objects and {B0, B1} <= set(task.objects)
 
 

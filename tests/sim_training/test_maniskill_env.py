@@ -15,9 +15,10 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.learning import recovery_policy as view
+from resync_robot.sim_training.block_recovery import DEVICE_SCENES, RecoveryEnv, scaled_to_device, train_recovery
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.maniskill_env import ENVIRONMENT, CorneredInsertionEnv, ManiSkillScenes
-from resync_robot.sim_training.ppo import DEVICE_SCENES, PpoSettings, RecoveryEnv, scaled_to_device, train_recovery
+from resync_robot.sim_training.ppo import PpoSettings
 from resync_robot.sim_training.recovery import FailedWorlds, RecoverySettings
 from resync_robot.sim_training.solver import SHIPPED
 from resync_robot.sim_training.vector_env import RecoveryScenes
@@ -158,7 +159,9 @@ def test_starts_of_many_worlds_are_the_same_in_torch_and_numpy() -> None:
 
 
 def test_training_runs_on_maniskill_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("resync_robot.sim_training.ppo.RecoveryScenes", lambda *a: ManiSkillScenes(*a[:4], "cpu"))
+    monkeypatch.setattr(
+        "resync_robot.sim_training.block_recovery.RecoveryScenes", lambda *a: ManiSkillScenes(*a[:4], "cpu")
+    )
     settings = PpoSettings(scenes=1, steps=16, minibatch=8, total_steps=32, least_steps=0, rebuild=0.0)
     path = tmp_path / "ppo.safetensors"
     net, figures = train_recovery(

@@ -7,7 +7,7 @@ import pytest
 
 from resync_robot.core.rig import load_rig
 from resync_robot.knowledge import initial_model
-from resync_robot.learning.failures import PairGaussian, find_culprit, relative_pose
+from resync_robot.learning.failures import PairGaussian, find_culprit
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.mine import attempt_task, is_at_rest, resample_failure
 from resync_robot.sim_training.world import SimWorld
@@ -55,9 +55,9 @@ def test_a_scene_that_does_not_stand_still_is_no_task(bottom: float, rests: bool
 
 def test_resampled_failures_have_the_drawn_pose_and_differ_in_the_rest() -> None:
     gaussian = PairGaussian(np.array([0.0015, 0.0025, 1.0, 0.0]), np.diag([1e-8, 1e-8, 1e-6, 1e-6]))
-    tasks = [resample_failure(CORNERED, "s0", B0, gaussian, seed) for seed in range(20)]
-    gaps = np.array([relative_pose(t.initial, B0, THE_BOX)[:2] for t in tasks])
+    tasks = [resample_failure(CORNERED, "s0", B0, THE_BOX, gaussian, seed) for seed in range(20)]
+    gaps = np.array([scenes.in_box(t.initial, B0)[:2] for t in tasks])
     np.testing.assert_allclose(gaps.mean(0), [0.0015, 0.0025], atol=2e-4)
     assert len({t.initial[B1].tobytes() for t in tasks}) == 20
-    again = resample_failure(CORNERED, "s0", B0, gaussian, 3)
+    again = resample_failure(CORNERED, "s0", B0, THE_BOX, gaussian, 3)
     assert (again.initial, again.physics, again.seed) == (tasks[3].initial, tasks[3].physics, 3)

@@ -14,7 +14,8 @@ from resync_robot.core.errors import TrainingError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.task import Task
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, PROJECTED_SIZE, ActorCritic
-from resync_robot.sim_training.ppo import PpoSettings, RecoveryEnv, train_recovery
+from resync_robot.sim_training.block_recovery import RecoveryEnv, train_recovery
+from resync_robot.sim_training.ppo import PpoSettings
 from resync_robot.sim_training.recovery import RecoverySettings
 from resync_robot.sim_training.vector_env import RecoveryScenes
 from tests import scenes

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
+from resync_robot.core.state import State
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.policies.cartesian import Hand
 from resync_robot.sim_training.scene import TORQUE
@@ -187,3 +188,31 @@ def test_the_jacobian_is_the_derivative_of_the_tip(q: list[float]) -> None:
         np.testing.assert_allclose(jacobian[:3, i], (moved - here)[:3, 3] / h, atol=1e-5)
         turned = spatial.rotation_vector(moved[:3, :3] @ here[:3, :3].T) / h
         np.testing.assert_allclose(jacobian[3:, i], turned, atol=1e-4)
+
+
+def test_a_world_is_set_to_a_state() -> None:
+    world = SimWorld(scenes.scene(BLOCKS), RIG)
+    send(world, np.array([0.48, 0.05, 0.25]), 0.5, opening=0.05)
+    wanted = scenes.scene({"b0": (0.05, 0.0), "b1": (-0.05, 0.06)}).initial
+    state = State({**{o: wanted[o] for o in wanted}, R: world.perceive()[R]})
+    send(world, np.array([0.45, 0.0, 0.30]), 0.5)
+    assert world.reset(state)
+    for obj in state.objects:
+        np.testing.assert_allclose(world.perceive()[obj], state[obj], atol=2e-3)
+
+
+def test_what_does_not_stand_or_cannot_be_reached_is_refused() -> None:
+    world = SimWorld(scenes.scene(BLOCKS), RIG)
+    state = world.perceive()
+    assert not world.reset(state.with_features(B0, z=0.2))
+    assert not world.reset(state.with_features(R, x=3.0))
+    assert world.reset(state)
+
+
+def test_only_objects_are_run_into() -> None:
+    world = SimWorld(scenes.scene(BLOCKS), RIG)
+    assert world.contacts() == {}
+    top = world.perceive()[B0][:3] + [0, 0, scenes.HEIGHT / 2 + 0.012]
+    send(world, top + [0, 0, 0.05], 1.0)
+    send(world, top - [0, 0, 0.005], 1.0)
+    assert set(world.contacts()) == {B0} and world.contacts()[B0] > 1.0

@@ -1,0 +1,104 @@
+"""The skill that a stage learned, in any domain: the failed skill until it fails, then the policy until it is done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from resync_robot.core.embodiment import Embodiment
+from resync_robot.core.library import Record
+from resync_robot.core.relations import Relations
+from resync_robot.core.skill import Ending, Outcome, Policy, Skill
+from resync_robot.core.symbols import Object, Type
+from resync_robot.core.world import Observation
+from resync_robot.learning.recovery_policy import ActorCritic
+from resync_robot.learning.relational_view import RelationalView
+from resync_robot.learning.terminals import Terminal
+
+SURE = 0.85
+"""Probability of beta_N at which the recovery is done: a moment more costs less than to be taken for done wrongly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedRecovery:
+    """What a stage learned to do about a failure.
+
+    Attributes:
+        name: of the skill.
+        types: of the robot, o^R and every o^F: the skill's parameters.
+        failed_skill: C^F, by its name.
+        arguments: for each argument of the failed skill which of the recovery's own it is.
+        horizon: actions after which the policy gives up.
+        policy: over the relational view of the parameters.
+        done: beta_N, over the same view: the failed skill succeeds from here.
+    """
+
+    name: str
+    types: tuple[Type, ...]
+    failed_skill: str
+    arguments: tuple[int, ...]
+    horizon: int
+    policy: ActorCritic
+    done: Terminal
+
+    def skill(self, failed: Skill, embodiment: Embodiment, relations: Relations) -> Skill:
+        """The skill for an executive; `failed` is the given skill that it begins with."""
+        limits = np.array(list(embodiment.actions.values()))
+
+        def start(objects: tuple[Object, ...], first: Observation) -> Policy:
+            begun = failed.start(tuple(objects[i] for i in self.arguments), first)
+            longest = round(failed.time_limit_s * embodiment.rate_hz)
+            return _Run(self, RelationalView(objects, relations), begun, longest, limits)
+
+        limit = failed.time_limit_s + (self.horizon + 2) / embodiment.rate_hz
+        return Skill(self.name, self.types, start, embodiment.rate_hz, limit, live_state=True)
+
+    def to_record(self) -> Record:
+        """Weights and what they are for."""
+        tensors = {f"policy.{k}": v for k, v in self.policy.to_tensors().items()}
+        tensors |= {f"terminal.{k}": v for k, v in self.done.to_record().tensors.items()}
+        meta = {
+            "signature": [t.name for t in self.types],
+            "failed_skill": self.failed_skill,
+            "arguments": list(self.arguments),
+            "horizon": self.horizon,
+            "policy": self.policy.shape,
+            "terminal": self.done.to_record().meta,
+        }
+        return Record(meta, tensors)
+
+
+class _Run:
+    """One run of the skill."""
+
+    def __init__(
+        self, recovery: LearnedRecovery, view: RelationalView, failed: Policy, longest: int, limits: np.ndarray
+    ) -> None:
+        self._recovery, self._view, self._failed, self._longest = recovery, view, failed, longest
+        self._middle, self._half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
+        self._begun, self._approaching, self._steps = False, True, 0
+
+    def step(self, observation: Observation) -> Any:
+        seen = torch.as_tensor(self._view(observation.state), dtype=torch.float32)[None]
+        if not self._begun or not self._approaching:
+            self._begun = True
+            if float(self._recovery.done.probability(seen)) > SURE:
+                return Outcome(Ending.DONE)
+        if self._approaching:
+            answer = self._failed.step(observation)
+            self._longest -= 1
+            # To run out of its time is one of the ways in which it fails.
+            if not isinstance(answer, Outcome) and self._longest > 0:
+                return answer
+            if isinstance(answer, Outcome) and answer.done:
+                return Outcome(Ending.REFUSED, f"{self._recovery.failed_skill} does not fail here")
+            self._approaching = False
+        if self._steps >= self._recovery.horizon:
+            return Outcome(Ending.TIMEOUT, f"not done after {self._steps} actions")
+        self._steps += 1
+        with torch.no_grad():
+            action = self._recovery.policy.act(seen)[0].clamp(-1, 1).double().numpy()
+        return self._middle + self._half * action

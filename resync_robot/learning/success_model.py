@@ -1,0 +1,130 @@
+"""Where would a skill succeed? A classifier of the states that it begins in, fitted to attempts.
+
+It stands for attempts that nobody has time to make: a recovery is rewarded for going where the failed skill looks
+likely to succeed, and an attempt has the last word.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import nn
+
+from resync_robot.core.errors import TrainingError
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuccessModelSettings:
+    """How the classifier is fitted."""
+
+    width: int = 64
+    learning_rate: float = 1e-3
+    first_steps: int = 400
+    """Gradient steps of the first fit."""
+    steps: int = 40
+    """Of each later one, which goes on from the last."""
+    batch: int = 256
+    smoothing: float = 0.02
+    """Labels are this far from 0 and 1: away from all attempts the odds then keep a slope to climb."""
+    remembered: int = 20_000
+    """The latest attempts that are kept."""
+
+
+class SuccessModel:
+    """P(the skill reaches its effects | the relational features of the state that it begins in).
+
+    Args:
+        features: length of a feature vector.
+        seed: of the weights and of the order of the data.
+    """
+
+    def __init__(self, features: int, seed: int, settings: SuccessModelSettings | None = None) -> None:
+        self.settings = settings or SuccessModelSettings()
+        self._random = torch.Generator().manual_seed(seed)
+        width = self.settings.width
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self._net = nn.Sequential(
+                nn.Linear(features, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh(), nn.Linear(width, 1)
+            )
+        self._mean, self._scale = torch.zeros(features), torch.ones(features)
+        self._optimiser = torch.optim.AdamW(self._net.parameters(), lr=self.settings.learning_rate)
+        self._x, self._y = torch.zeros(0, features), torch.zeros(0)
+        self._fitted = False
+
+    @property
+    def attempts(self) -> int:
+        """How many are remembered."""
+        return len(self._y)
+
+    @property
+    def has_both(self) -> bool:
+        """Whether some of them succeeded and some failed."""
+        return 0 < int((self._y > 0.5).sum()) < len(self._y)
+
+    def remembered(self) -> tuple[Float[np.ndarray, "n d"], Bool[np.ndarray, "n"]]:
+        """The attempts: what they began with, and whether they succeeded."""
+        return self._x.double().numpy(), self._y.numpy() > 0.5
+
+    def add(self, features: Float[np.ndarray, "n d"], succeeded: Bool[np.ndarray, "n"]) -> None:
+        """Remember attempts: where they began, and whether they succeeded."""
+        keep = -self.settings.remembered
+        self._x = torch.cat([self._x, torch.as_tensor(features, dtype=torch.float32)])[keep:]
+        self._y = torch.cat([self._y, torch.as_tensor(succeeded, dtype=torch.float32)])[keep:]
+
+    def fit(self) -> float:
+        """Fit to all that is remembered, going on from the last fit; both outcomes weigh the same.
+
+        Returns:
+            The mean loss of the last ten steps.
+
+        Raises:
+            TrainingError: all remembered attempts ended alike.
+        """
+        s, yes = self.settings, self._y > 0.5
+        if not yes.any() or yes.all():
+            ended = "succeeded" if len(yes) and yes.all() else "failed"
+            raise TrainingError(f"all {len(yes)} attempts {ended}: nothing tells where the skill succeeds")
+        if not self._fitted:
+            # Fixed from here on, so that the odds of one state can be compared over time.
+            self._mean, self._scale = self._x.mean(0), self._x.std(0).clamp(min=1e-3)
+        steps = s.steps if self._fitted else s.first_steps
+        self._fitted = True
+        places = (torch.nonzero(~yes).flatten(), torch.nonzero(yes).flatten())
+        target = self._y * (1 - 2 * s.smoothing) + s.smoothing
+        losses: list[float] = []
+        for _ in range(steps):
+            halves = [of[torch.randint(len(of), (s.batch // 2,), generator=self._random)] for of in places]
+            rows = torch.cat(halves)
+            loss = nn.functional.binary_cross_entropy_with_logits(self._logits(self._x[rows]), target[rows])
+            self._optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            self._optimiser.step()
+            losses.append(float(loss.detach()))
+        return float(np.mean(losses[-10:]))
+
+    def probability(self, features: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n"]:
+        """Of success from each state; one half before the first fit."""
+        if not self._fitted:
+            return np.full(len(features), 0.5)
+        with torch.no_grad():
+            return torch.sigmoid(self._logits(torch.as_tensor(features, dtype=torch.float32))).double().numpy()
+
+    def _logits(self, x: torch.Tensor) -> torch.Tensor:
+        found: torch.Tensor = self._net(((x - self._mean) / self._scale).clamp(-10, 10)).squeeze(-1)
+        return found
+
+    def weights(self) -> dict[str, np.ndarray]:
+        """What `load` needs: for copies in other processes."""
+        tensors = {"mean": self._mean, "scale": self._scale, **self._net.state_dict()}
+        return {name: value.numpy().copy() for name, value in tensors.items()}
+
+    def load(self, weights: dict[str, np.ndarray]) -> None:
+        """Predict as the model whose weights these are."""
+        tensors = {name: torch.from_numpy(value) for name, value in weights.items()}
+        self._mean, self._scale = tensors.pop("mean"), tensors.pop("scale")
+        self._net.load_state_dict(tensors)
+        self._fitted = True

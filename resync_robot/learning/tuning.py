@@ -1,0 +1,190 @@
+"""Fine-tuning: what earlier stages learned goes on learning from the dreams of a new one, before discovery.
+
+A saved classifier has no batch normalisation any more, so its folded layers are trained on, at a tenth of the rate, on
+old labels and new ones in equal shares. It is kept only where it fits neither of the two worse than before: what a
+stage adds must not cost what the stages before it can do.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from resync_robot.core.symbols import Atoms
+from resync_robot.learning.classifiers import NeuralClassifier
+from resync_robot.learning.dataset import Dataset
+from resync_robot.learning.effect_vectors import candidate_from_json, candidate_to_json, measured_effects
+from resync_robot.learning.effects import Candidate, Supervision, supervise
+from resync_robot.learning.fit import (
+    VALIDATION_SHARE,
+    FitConfig,
+    examples_of,
+    folded,
+    loss_of,
+    noisy_inputs,
+    steps_in_epoch,
+    train_epoch,
+)
+from resync_robot.learning.model import Concepts, is_neural
+from resync_robot.learning.operators import Evidence, explained_failures
+
+
+@dataclass(frozen=True, kw_only=True)
+class TuneConfig:
+    """How a known classifier is trained on."""
+
+    rate: float = 0.1
+    """Share of the learning rate with which it was trained."""
+    epochs: int = 10
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """A classifier after fine-tuning, or as it was where that helped nothing.
+
+    Attributes:
+        before, after: (on old, on new) held-out trajectories, its loss.
+    """
+
+    classifier: NeuralClassifier
+    before: tuple[float, float]
+    after: tuple[float, float]
+
+    @property
+    def kept(self) -> bool:
+        return self.before != self.after
+
+
+def tune_known(
+    known: Concepts,
+    dataset: Dataset,
+    truth: Sequence[Atoms],
+    columns: Sequence[Evidence],
+    recoveries: Sequence[str],
+    seed: int,
+    fit_config: FitConfig,
+    config: TuneConfig,
+) -> tuple[Concepts, list[dict[str, Any]]]:
+    """The known model with its classifiers fine-tuned and their effect vectors extended to the new recovery.
+
+    Args:
+        dataset: of all stages.
+        truth: for each moment the atoms that hold by the known classifiers.
+        columns: of each known predicate, in their order.
+        recoveries: of all stages, the new one last.
+
+    Returns:
+        The model, and what became of each classifier.
+    """
+    fresh = replace(dataset, runs=tuple(run for run in dataset.runs if run.stage == len(recoveries)))
+    # Of a failure in the new dreams the cause may be the new one, unless an earlier recovery mended it.
+    unsure = {f for run in fresh.runs for f in run.failures if f.mended_by not in recoveries[:-1]}
+    predicates = sorted(known.predicates)
+    settled = [c for p, c in zip(predicates, columns, strict=True) if not is_neural(p, known.classifiers)]
+    unsure |= explained_failures(dataset, settled)
+    classifiers, records, log = dict(known.classifiers), dict(known.records), list[dict[str, Any]]()
+    for i, predicate in enumerate(predicates):
+        classifier = known.classifiers[predicate.name]
+        if predicate.name not in records or not isinstance(classifier, NeuralClassifier):
+            continue
+        meta = records[predicate.name].meta
+        candidate = candidate_from_json(meta, predicate.types, dataset.signatures)
+        found = measured_effects(fresh, truth, predicate, recoveries[-1])
+        wider = replace(candidate, effects=(*candidate.effects, *found))
+        supervision = supervise(dataset, wider, unsure)
+        entry: dict[str, Any] = {"predicate": predicate.name, "effects": str(wider)}
+        log.append(entry)
+        if supervision.contradicted:
+            entry["verdict"] = "contradicted by the data, not trained"
+            continue
+        tuned = tune(dataset, wider, supervision, classifier, seed + i, fit_config, config)
+        entry["verdict"] = "as it was" if tuned is None or not tuned.kept else "tuned"
+        if tuned is not None:
+            entry |= {"loss_before": _rounded(tuned.before), "loss": _rounded(tuned.after)}
+            classifier = classifiers[predicate.name] = tuned.classifier
+        marks = {"tuned": len(recoveries)} if tuned is not None and tuned.kept else {}
+        records[predicate.name] = classifier.to_record({**meta, **candidate_to_json(wider), **marks})
+    return replace(known, classifiers=classifiers, records=records), log
+
+
+def _rounded(losses: tuple[float, float]) -> list[float]:
+    return [round(x, 4) for x in losses]
+
+
+def tune(
+    dataset: Dataset,
+    candidate: Candidate,
+    supervision: Supervision,
+    start: NeuralClassifier,
+    seed: int,
+    fit_config: FitConfig,
+    config: TuneConfig,
+) -> Tuned | None:
+    """Train a classifier on, and take the epoch that fits old and new data best among those that fit neither worse.
+
+    The new data are those of the last stage.
+
+    Returns:
+        None where the old or the new runs are too few to train on some and judge by others.
+    """
+    rows, examples = examples_of(dataset, candidate, supervision, fit_config)
+    rng = np.random.default_rng(seed)
+    held_out = rng.random(len(dataset.runs)) < VALIDATION_SHARE
+    numbers = np.array([run.stage for run in dataset.runs])
+    new = numbers == numbers.max()
+    sides = (~new, new)
+    labels = [np.flatnonzero((side & ~held_out)[examples.label_run]) for side in sides]
+    pairs = [np.flatnonzero((side & ~held_out)[examples.pair_run]) for side in sides]
+    judged = [((side & held_out)[examples.label_run], (side & held_out)[examples.pair_run]) for side in sides]
+    if not all(map(len, labels)) or not all(of.any() for of, _ in judged):
+        return None
+
+    def inputs() -> torch.Tensor:
+        return noisy_inputs(candidate.types, rows, start.mean, start.scale, rng, fit_config, start.relations)
+
+    def mixed(pools: Sequence[np.ndarray], most: int) -> np.ndarray:
+        """As many of the old as of the new."""
+        each = min(*map(len, pools), most // 2)
+        return rng.permutation(np.concatenate([rng.permutation(pool)[:each] for pool in pools]))
+
+    check, net = inputs(), _unfolded(start)
+
+    def losses() -> tuple[float, float]:
+        net.eval()
+        with torch.no_grad():
+            logits = net(check)[:, 0]
+            old, fresh = (float(loss_of(logits, examples, of, among)) for of, among in judged)
+        return old, fresh
+
+    steps = steps_in_epoch(2 * min(map(len, labels)), fit_config)
+    rate = config.rate * fit_config.learning_rate
+    optimiser = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=fit_config.weight_decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, config.epochs * steps)
+    before = after = losses()
+    best = copy.deepcopy(net)
+    for _ in range(config.epochs):
+        some = mixed(labels, fit_config.labels_per_epoch)
+        train_epoch(net, optimiser, schedule, inputs(), examples, some, mixed(pairs, fit_config.pairs_per_epoch), steps)
+        now = losses()
+        if now[0] <= before[0] and now[1] <= before[1] and sum(now) < sum(after):
+            best, after = copy.deepcopy(net), now
+    classifier = start if after == before else replace(start, layers=folded(best))
+    return Tuned(classifier, before, after)
+
+
+def _unfolded(classifier: NeuralClassifier) -> nn.Sequential:
+    """The classifier as a network that can be trained on; its normalisation by batches stays folded in."""
+    layers: list[nn.Module] = []
+    for weight, bias in classifier.layers:
+        linear = nn.Linear(weight.shape[1], weight.shape[0])
+        with torch.no_grad():
+            linear.weight.copy_(torch.from_numpy(weight))
+            linear.bias.copy_(torch.from_numpy(bias))
+        layers += [linear, nn.GELU(approximate="tanh")]
+    return nn.Sequential(*layers[:-1])

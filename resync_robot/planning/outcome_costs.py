@@ -1,0 +1,106 @@
+"""Action costs: what a step costs, by the success that attempts like it came to.
+
+Preconditions are sharp and experience is not: a skill whose preconditions hold still fails now and then, and more often
+in some circumstances than in others. A step costs -log of its probability of success, so a cheapest plan is one that
+most likely works as a whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+from resync_robot.core.symbols import Atom, GroundOperator, Predicate
+
+Count = tuple[int, int]
+"""(successes, attempts)."""
+
+
+@dataclass(frozen=True)
+class Tally:
+    """How the attempts of a skill went whose preconditions held, by an atom about one of its arguments.
+
+    The tallies of one skill count the same attempts.
+
+    Attributes:
+        predicate: of one argument.
+        argument: position of that argument among those of the skill.
+        held: the attempts before which the atom held.
+        otherwise: the rest.
+    """
+
+    predicate: Predicate
+    argument: int
+    held: Count
+    otherwise: Count
+
+    def atom(self, step: GroundOperator) -> Atom:
+        return self.predicate(step.objects[self.argument])
+
+    @property
+    def total(self) -> Count:
+        return self.held[0] + self.otherwise[0], self.held[1] + self.otherwise[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CostSettings:
+    """What is expected of a step before there is experience, and what a step costs beside its risk."""
+
+    prior: float = 0.9
+    """Probability that a step succeeds which nobody has tried."""
+    weight: float = 5.0
+    """How many attempts this expectation counts for, and how many the skill's success in all circumstances together
+    counts for where one of them is judged."""
+    step: float = 0.1
+    """Cost of any step, beside its risk: one more step is worth it where it makes success more likely by a tenth."""
+
+
+class OutcomeCosts:
+    """Costs of steps from tallies.
+
+    Args:
+        tallies: skill name -> its tallies. Steps of skills without any cost all the same.
+    """
+
+    def __init__(
+        self, tallies: Mapping[str, Sequence[Tally]] | None = None, settings: CostSettings | None = None
+    ) -> None:
+        self._tallies, self._settings = dict(tallies or {}), settings or CostSettings()
+
+    def atoms(self, step: GroundOperator) -> list[Atom]:
+        """What its success hangs on beside its preconditions."""
+        return [tally.atom(step) for tally in self._tallies.get(step.name, ())]
+
+    def success(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
+        """Probability that the step succeeds where its preconditions and `atoms` hold.
+
+        The successes, and the failures, under all these circumstances at once are estimated from the counts under each
+        of them, as if they were independent (naive Bayes). The prior is a beta distribution, between what is expected
+        of any step and how this skill does on the whole: untried circumstances are a little riskier than others.
+        """
+        won, lost = self._whole(step)
+        for tally in self._tallies.get(step.name, ()):
+            all_won, tried = tally.total
+            here_won, here = tally.held if tally.atom(step) in atoms else tally.otherwise
+            won *= here_won / all_won if all_won else 0.0
+            lost *= (here - here_won) / (tried - all_won) if tried > all_won else 0.0
+        return self._posterior(step, won, lost)
+
+    def cost(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
+        """Of running the step where `atoms` hold; above 0."""
+        return self._settings.step - math.log(self.success(step, atoms))
+
+    def least(self, step: GroundOperator) -> float:
+        """No circumstances make the step cheaper than this."""
+        return self._settings.step - math.log(self._posterior(step, self._whole(step)[0], 0.0))
+
+    def _whole(self, step: GroundOperator) -> tuple[float, float]:
+        """Successes and failures of its skill."""
+        won, tried = next((tally.total for tally in self._tallies.get(step.name, ())), (0, 0))
+        return float(won), float(tried - won)
+
+    def _posterior(self, step: GroundOperator, won: float, lost: float) -> float:
+        s, (all_won, all_lost) = self._settings, self._whole(step)
+        usual = (all_won + s.weight * s.prior) / (all_won + all_lost + s.weight)
+        return (won + s.weight * (usual + s.prior)) / (won + lost + 2 * s.weight)

@@ -1,0 +1,148 @@
+"""Failure mining in any domain: attempt tasks until a skill fails, and keep where it failed and what it ran into."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from resync_robot.core.embodiment import Stage, TrainingSimulator
+from resync_robot.core.errors import TrainingError
+from resync_robot.core.skill import GroundSkill, Outcome
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.core.task import Domain, Task
+from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute
+
+LATELY = 5
+"""Actions before the end of an attempt whose contacts count: what stops a skill is what it runs into last."""
+MOST_BLAMED = 0.5
+"""Share of the failures in which an object has to be run into, to be blamed for them."""
+
+
+@dataclass(frozen=True)
+class FailedAttempt:
+    """A state in D^F.
+
+    Attributes:
+        task: in which it happened.
+        state: where the skill left everything.
+        skill: C^F, with its objects.
+        run_into: what the robot, or what it held, met last, and how hard: N, or 1.
+    """
+
+    task: Task
+    state: State
+    skill: GroundSkill
+    run_into: Mapping[Object, float]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What the failures of a stage have in common.
+
+    Attributes:
+        skill, objects: C^F and what it was applied to.
+        argument: which of these is o^R, the object that the failure is about.
+        culprits: o^F, the objects that were run into.
+    """
+
+    skill: str
+    objects: tuple[Object, ...]
+    argument: int
+    culprits: tuple[Object, ...]
+
+    @property
+    def projected(self) -> tuple[Object, ...]:
+        """proj(x): the robot, o^R and every o^F; what the recovery sees, and the arguments that it takes."""
+        about = (self.objects[0], self.objects[self.argument], *self.culprits)
+        return tuple(dict.fromkeys(about))
+
+
+class _LastContacts(Listener):
+    """What was run into just before each skill ended."""
+
+    def __init__(self, simulator: TrainingSimulator[Any, Any]) -> None:
+        self._simulator = simulator
+        self._recent: list[Mapping[Object, float]] = []
+        self.ended: tuple[GroundSkill, Mapping[Object, float]] | None = None
+
+    def on_skill_start(self, skill: GroundSkill) -> None:
+        self._recent = []
+
+    def on_control(self, observation: Any, action: Any) -> None:
+        self._recent = [*self._recent, self._simulator.contacts()][-LATELY:]
+
+    def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
+        hardest: dict[Object, float] = {}
+        for contacts in (*self._recent, self._simulator.contacts()):
+            for obj, force in contacts.items():
+                hardest[obj] = max(force, hardest.get(obj, 0.0))
+        self.ended = skill, hardest
+
+
+def attempt(domain: Domain, task: Task, model: Model) -> FailedAttempt | None:
+    """Plan and execute up to the first failure. None where nothing fails, or the scene does not stand still."""
+    if domain.embodiment is None:
+        raise TrainingError(f"the domain {domain.name} declares no embodiment", "see docs/own-domain.md")
+    simulator = domain.embodiment.simulate(task)
+    if not simulator.reset(task.initial):
+        return None
+    heard = _LastContacts(simulator)
+    result = plan_and_execute(simulator, model, task.goal, ExecuteSettings(max_failures=1), heard)
+    if not result.transitions or result.transitions[-1].succeeded or heard.ended is None:
+        return None
+    skill, run_into = heard.ended
+    return FailedAttempt(task, simulator.perceive(), skill, run_into)
+
+
+def mine_stage(domain: Domain, stage: Stage, model: Model, first_seed: int, count: int) -> list[FailedAttempt]:
+    """`count` failures of the stage's scenario, from as many tasks as that takes.
+
+    Raises:
+        TrainingError: hardly any task fails, so there is nothing to learn from.
+    """
+    found: list[FailedAttempt] = []
+    scenario, most = domain.scenario(stage.scenario), 10 * count + 20
+    for seed in range(first_seed, first_seed + most):
+        task = scenario.sample_practice(np.random.default_rng(seed), seed)
+        failed = attempt(domain, task, model)
+        if failed is not None:
+            found.append(failed)
+        if len(found) == count:
+            return found
+    raise TrainingError(
+        f"{len(found)} of {most} tasks of {stage.scenario} failed, {count} failures are needed",
+        "train on a scenario that fails, and see what check-domain says of it",
+    )
+
+
+def explain(failures: Sequence[FailedAttempt]) -> Explanation:
+    """Who is to blame, by what the robot ran into.
+
+    Raises:
+        TrainingError: nothing was run into in at least half of the failures.
+    """
+    (skill, objects), _ = Counter((f.skill.name, f.skill.objects) for f in failures).most_common(1)[0]
+    alike = [f for f in failures if (f.skill.name, f.skill.objects) == (skill, objects)]
+    met = Counter(obj for f in alike for obj, force in f.run_into.items() if force > 0 and obj != objects[0])
+    blamed = [obj for obj, times in met.most_common() if times >= MOST_BLAMED * len(alike)]
+    if not blamed:
+        often = ", ".join(f"{obj} in {times}" for obj, times in met.most_common(3)) or "nothing at all"
+        raise TrainingError(
+            f"no object explains why {skill} failed {len(alike)} times: it ran into {often}",
+            "let the simulator's contacts() name what stops a skill",
+        )
+    others = [i for i in range(1, len(objects)) if objects[i] not in blamed] or list(range(1, len(objects)))
+    nearest = min(others, key=lambda i: np.mean([_apart(f.state, objects[i], blamed[0]) for f in alike]), default=0)
+    return Explanation(skill, objects, nearest, tuple(blamed))
+
+
+def _apart(state: State, a: Object, b: Object) -> float:
+    """m in the plane; objects without a place are infinitely far away."""
+    if a.type.pose is None or b.type.pose is None:
+        return float("inf")
+    return float(np.linalg.norm(state[a][:2] - state[b][:2]))

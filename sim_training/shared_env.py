@@ -1,0 +1,152 @@
+"""One environment of PPO whose scenes are shared out among processes; what it learns is learned in this one."""
+
+from __future__ import annotations
+
+import multiprocessing as mp
+import signal
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from resync_robot.core.errors import TrainingError
+from resync_robot.learning.success_model import SuccessModel
+from resync_robot.sim_training.recovery_env import RecoveryEnv, teach
+
+
+class SharedEnv:
+    """The scenes of several `RecoveryEnv`, each in a process of its own: an `Environment` of `ppo`.
+
+    Args:
+        make: (number of the process, its scenes) -> its part; must be picklable, so a function of a module or a partial
+            of one.
+        model: what all parts follow; it learns from the runs of all of them.
+        workers: processes.
+
+    Raises:
+        TrainingError: a part cannot be made, or its process ended.
+    """
+
+    def __init__(self, make: Callable[[int, int], RecoveryEnv], model: SuccessModel, count: int, workers: int) -> None:
+        self.count, self.model = count, model
+        self._parts = [part for part in np.array_split(np.arange(count), max(1, workers)) if len(part)]
+        context = mp.get_context("forkserver")
+        self._connections: list[Connection] = []
+        self._processes: list[Any] = []
+        for i, part in enumerate(self._parts):
+            here, there = context.Pipe()
+            process = context.Process(target=_serve, args=(there, make, i, len(part)), daemon=True)
+            process.start()
+            there.close()
+            self._connections.append(here)
+            self._processes.append(process)
+        try:
+            self._observation = np.concatenate(self._answers())
+            self._follow()
+        except BaseException:
+            self.close()
+            raise
+
+    def observe(self) -> Tensor:
+        """(count, d) relational features."""
+        return torch.as_tensor(self._observation, dtype=torch.float32)
+
+    def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """As `RecoveryEnv.step`, of all parts."""
+        for connection, part in zip(self._connections, self._parts, strict=True):
+            self._send(connection, "step", action[part].numpy())
+        columns = [np.concatenate(column) for column in zip(*self._answers(), strict=True)]
+        self._observation = columns.pop()
+        gained, success, terminated, truncated = (torch.as_tensor(column) for column in columns)
+        return gained, success, terminated, truncated
+
+    def reset(self, which: Tensor) -> None:
+        """As `RecoveryEnv.reset`; indices count through all parts."""
+        wanted = which.numpy()
+        asked = [np.flatnonzero(np.isin(part, wanted)) for part in self._parts]
+        for connection, inside in zip(self._connections, asked, strict=True):
+            self._send(connection, "reset", inside)
+        self._observation = np.concatenate(self._answers())
+
+    def learn(self) -> None:
+        """The model learns from the runs of all parts, and all follow it."""
+        for connection in self._connections:
+            self._send(connection, "taken", None)
+        teach(self.model, self._answers())
+        self._follow()
+
+    def close(self) -> None:
+        for connection in self._connections:
+            # A signal to all processes may have ended it already.
+            with suppress(OSError):
+                connection.send(("close", None))
+        for process in self._processes:
+            process.join(timeout=5)
+
+    def __enter__(self) -> SharedEnv:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _follow(self) -> None:
+        if self.model.has_both:
+            for connection in self._connections:
+                self._send(connection, "follow", self.model.weights())
+            self._answers()
+
+    def _send(self, connection: Connection, command: str, content: Any) -> None:
+        try:
+            connection.send((command, content))
+        except OSError:
+            raise TrainingError("a process that steps scenes has ended", "go on with --resume") from None
+
+    def _answers(self) -> Sequence[Any]:
+        found = []
+        for connection in self._connections:
+            try:
+                answer = connection.recv()
+            except EOFError:
+                raise TrainingError("a process that steps scenes has ended", "go on with --resume") from None
+            if isinstance(answer, Exception):
+                raise answer
+            found.append(answer)
+        return found
+
+
+def _serve(connection: Connection, make: Callable[[int, int], RecoveryEnv], number: int, count: int) -> None:
+    """Answer the commands of `SharedEnv`, until told to close or left alone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    torch.set_num_threads(1)
+    # Whatever goes wrong here is the caller's to know.
+    try:
+        env = make(number, count)
+        connection.send(env.observe().numpy())
+        while True:
+            command, content = connection.recv()
+            if command == "close":
+                return
+            connection.send(_answer(env, command, content))
+    except EOFError:
+        return
+    except Exception as error:
+        with suppress(OSError):
+            connection.send(error)
+
+
+def _answer(env: RecoveryEnv, command: str, content: Any) -> Any:
+    if command == "step":
+        told = env.step(torch.from_numpy(content))
+        return (*(column.numpy() for column in told), env.observe().numpy())
+    if command == "reset":
+        env.reset(torch.from_numpy(content))
+        return env.observe().numpy()
+    if command == "taken":
+        return env.taken()
+    env.model.load(content)
+    env.follow(env.model)
+    return None

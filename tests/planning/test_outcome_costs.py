@@ -1,0 +1,111 @@
+"""Steps cost by the success that experience shows; the cheapest plan is found."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from resync_robot.core.errors import PlanningError
+from resync_robot.core.symbols import Atoms, Operator, Predicate
+from resync_robot.core.vocabulary import BLOCK
+from resync_robot.planning.outcome_costs import CostSettings, OutcomeCosts, Tally
+from resync_robot.planning.search import ground_all, plan
+from tests.planning.kitchen import CLEAN, FILL, FULL, OPEN, UNLID, WIPE, A, B, X
+from tests.planning.models import B1, BLOCKS, INSERT, ON, PICK, RECOVER, scene
+
+COVERED = Predicate("Covered", (BLOCK,))
+STACKING = (PICK, RECOVER, replace(INSERT, add=INSERT.add | {COVERED(B1)}))
+TOWERS_FALL = OutcomeCosts({"Pick": [Tally(COVERED, 1, (18, 20), (97, 98))]})
+GOAL = frozenset({ON(BLOCKS[1], BLOCKS[0]), ON(BLOCKS[2], BLOCKS[1])})
+POUR = Operator("Pour", (X,), frozenset({OPEN(X)}), frozenset({FULL(X)}))
+"""As `FILL`, and it may be tried with a cup that is not clean."""
+FULL_A = frozenset({FULL(A)})
+
+
+def picked(found) -> list[str]:
+    return [s.objects[1].name for s in found.steps if s.name == "Pick"]
+
+
+def test_a_tower_is_built_from_below_where_lifting_one_failed_more_often() -> None:
+    objects, atoms = scene(3, {0})
+    found = plan(STACKING, objects, atoms, GOAL, costs=TOWERS_FALL)
+    assert picked(found) == ["b1", "b2"]
+    # Where it never failed and is what was practised, the tower is lifted.
+    other = OutcomeCosts({"Pick": [Tally(COVERED, 1, (98, 98), (5, 9))]})
+    assert picked(plan(STACKING, objects, atoms, GOAL, costs=other)) == ["b2", "b1"]
+
+
+@pytest.mark.parametrize(("won", "steps"), [(5, ["Wipe", "Pour"]), (19, ["Pour"])])
+def test_a_further_step_is_taken_where_it_saves_more_risk_than_it_costs(won: int, steps: list[str]) -> None:
+    costs = OutcomeCosts({"Pour": [Tally(CLEAN, 0, (20, 20), (won, 20))]})
+    found = plan((POUR, WIPE), (A, B), frozenset({OPEN(A)}), FULL_A, costs=costs)
+    assert [s.name for s in found.steps] == steps
+    assert len(plan((POUR, WIPE), (A, B), frozenset({OPEN(A)}), FULL_A).steps) == 1, "the shortest without counts"
+
+
+def test_success_is_estimated_from_counts_and_a_prior() -> None:
+    pour = POUR.ground((A,))
+    assert OutcomeCosts({}).success(pour, {CLEAN(A)}) == pytest.approx(0.9)
+    one = OutcomeCosts({"Pour": [Tally(CLEAN, 0, (98, 100), (0, 0))]})
+    usual = (98 + 5 * 0.9) / (100 + 5)
+    assert one.success(pour, {CLEAN(A)}) == pytest.approx((98 + 5 * usual + 5 * 0.9) / (100 + 10))
+    assert one.success(pour, set()) == pytest.approx((usual + 0.9) / 2), "never tried, and so a little riskier"
+    clean, full = Tally(CLEAN, 0, (90, 100), (0, 0)), Tally(FULL, 0, (5, 10), (85, 90))
+    both = OutcomeCosts({"Pour": [clean, full]})
+    assert both.atoms(pour) == [CLEAN(A), FULL(A)]
+    # Of 90 successes 5 in 90 were with a full cup, of 10 failures 5 in 10.
+    assert both.success(pour, {CLEAN(A), FULL(A)}) == pytest.approx((5 + 9) / (10 + 10))
+    # That nobody ever tried either of two things is no worse than that nobody tried one.
+    assert both.success(pour, {FULL(A)}) == pytest.approx(0.9)
+    free = OutcomeCosts({"Pour": [clean, full]}, CostSettings(step=0.0))
+    assert free.cost(pour, {CLEAN(A), FULL(A)}) == pytest.approx(-math.log(0.7))
+
+
+def test_out_of_reach_is_told_as_without_costs() -> None:
+    objects, atoms = scene(2, {0})
+    with pytest.raises(PlanningError, match=r"no plan reaches On\(b1, b0\)"):
+        plan([PICK, RECOVER], objects, atoms, frozenset({ON(BLOCKS[1], BLOCKS[0])}), costs=TOWERS_FALL)
+
+
+DRAIN = Operator("Drain", (X,), frozenset({FULL(X)}), frozenset({CLEAN(X)}), frozenset({FULL(X), OPEN(X)}))
+KITCHEN = (UNLID, FILL, WIPE, POUR, DRAIN)
+COUNTS = st.tuples(st.integers(0, 20), st.integers(0, 20)).map(lambda c: (c[0], c[0] + c[1]))
+TALLIES = st.builds(Tally, st.sampled_from([OPEN, FULL, CLEAN]), st.just(0), COUNTS, COUNTS)
+
+
+@given(
+    st.fixed_dictionaries({o.name: st.lists(TALLIES, max_size=2) for o in KITCHEN}),
+    st.sets(st.sampled_from([OPEN(A), CLEAN(A), FULL(B)])),
+    st.sampled_from([FULL_A, frozenset({FULL(A), FULL(B)}), frozenset({CLEAN(B)})]),
+    st.sampled_from(["lmcut", "hmax", "blind"]),
+)
+@settings(max_examples=40, deadline=None)
+def test_no_plan_is_cheaper(tallies, atoms, goal, heuristic: str) -> None:
+    costs = OutcomeCosts(tallies)
+    found = plan(KITCHEN, (A, B), frozenset(atoms), goal, heuristic, costs=costs)
+    now, total = frozenset(atoms), 0.0
+    for step in found.steps:
+        assert step.applicable(now) and costs.least(step) <= costs.cost(step, now) + 1e-12
+        total += costs.cost(step, now)
+        now = step.apply(now)
+    assert goal <= now and total == pytest.approx(cheapest(frozenset(atoms), goal, costs), abs=1e-4)
+
+
+def cheapest(atoms: Atoms, goal: Atoms, costs: OutcomeCosts) -> float:
+    """By Dijkstra's algorithm, over the states themselves."""
+    ground, queue, best, pushed = ground_all(KITCHEN, (A, B)), [(0.0, 0, atoms)], {atoms: 0.0}, 0
+    while queue:
+        total, _, state = heapq.heappop(queue)
+        if goal <= state:
+            return total
+        for step in (s for s in ground if s.applicable(state)):
+            after, cost = step.apply(state), total + costs.cost(step, state)
+            if cost < best.get(after, math.inf):
+                best[after], pushed = cost, pushed + 1
+                heapq.heappush(queue, (cost, pushed, after))
+    return math.inf

@@ -1,0 +1,203 @@
+"""The recovery MDP that only the planner judges: what it rewards, where it begins, and that PPO learns in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from resync_robot.core.errors import TrainingError
+from resync_robot.learning.recovery_policy import ActorCritic
+from resync_robot.learning.success_model import SuccessModel
+from resync_robot.sim_training.ppo import PpoSettings, train_policy
+from resync_robot.sim_training.recovery_env import Judge, JudgedSettings, RecoveryEnv, Start, try_from
+from resync_robot.sim_training.shared_env import SharedEnv
+from tests.sim_training.sliding import EMBODIMENT, GRIP_SKILL, HELD, P, Rail, S, see, task_at, true_atoms
+
+JUDGE = Judge(GRIP_SKILL.ground((P, S)), frozenset({HELD(S)}), true_atoms)
+
+
+def failing(count: int, seed: int = 0) -> list[Start]:
+    rng = np.random.default_rng(seed)
+    tasks = [task_at(0.0, rng.uniform(0.1, 0.3)) for _ in range(count)]
+    return [Start(t, t.initial) for t in tasks]
+
+
+def anywhere(count: int, seed: int = 1) -> list[Start]:
+    rng = np.random.default_rng(seed)
+    tasks = [task_at(*sorted(rng.uniform(0, 1, 2))) for _ in range(count)]
+    return [Start(t, t.initial) for t in tasks]
+
+
+def environment(model: SuccessModel, count: int = 8, **settings: float) -> RecoveryEnv:
+    return RecoveryEnv(
+        EMBODIMENT,
+        failing(16),
+        JUDGE,
+        see,
+        model,
+        count=count,
+        horizon=20,
+        seed=3,
+        settings=JudgedSettings(**settings),  # type: ignore[arg-type]
+    )
+
+
+def test_the_judge_runs_the_skill_and_leaves_everything_as_it_was() -> None:
+    for slider, succeeds in ((0.2, False), (0.6, True), (0.9, False)):
+        rail = Rail(task_at(0.0, slider))
+        before = rail.save()
+        assert JUDGE(rail) == succeeds  # type: ignore[arg-type]
+        np.testing.assert_array_equal(rail.save(), before)
+
+
+def test_attempts_tell_the_model_where_the_skill_succeeds() -> None:
+    features, succeeded = try_from(EMBODIMENT, anywhere(300), JUDGE, see)
+    assert 0.1 < succeeded.mean() < 0.5
+    model = SuccessModel(2, 0)
+    model.add(features, succeeded)
+    model.fit()
+    fresh, truth = try_from(EMBODIMENT, anywhere(300, seed=2), JUDGE, see)
+    assert ((model.probability(fresh) > 0.5) == truth).mean() > 0.9
+
+
+def test_a_model_that_knows_one_outcome_refuses_to_guess() -> None:
+    model = SuccessModel(2, 0)
+    np.testing.assert_array_equal(model.probability(np.zeros((3, 2))), 0.5)
+    model.add(np.zeros((5, 2)), np.zeros(5, dtype=bool))
+    with pytest.raises(TrainingError, match="all 5 attempts failed"):
+        model.fit()
+
+
+def test_weights_travel() -> None:
+    features, succeeded = try_from(EMBODIMENT, anywhere(100), JUDGE, see)
+    model, copy = SuccessModel(2, 0), SuccessModel(2, 1)
+    model.add(features, succeeded)
+    model.fit()
+    copy.load(model.weights())
+    np.testing.assert_array_equal(copy.probability(features), model.probability(features))
+
+
+def test_success_is_what_the_skill_says_and_not_what_the_model_believes() -> None:
+    """A model that is sure of success everywhere is refuted at each try, and learns from it."""
+    model = SuccessModel(2, 0)
+    model.add(np.random.default_rng(0).normal(size=(50, 2)), np.arange(50) % 50 > 0)
+    model.fit()
+    env = environment(model, worth_a_try=0.0, between=0.0)
+    still = torch.zeros(env.count, 1)
+    for _ in range(6):
+        _, success, terminated, truncated = env.step(still)
+        assert not (success | terminated | truncated).any()
+    assert env.judged == env.count
+    before = model.attempts
+    env.learn()
+    assert model.attempts == before + env.count
+
+
+def test_rewards_of_an_episode_add_up_to_where_it_went() -> None:
+    """Shaping only moves reward about: with gamma 1, an episode's sum tells its first potential and its success."""
+    features, succeeded = try_from(EMBODIMENT, anywhere(300), JUDGE, see)
+    model = SuccessModel(2, 0)
+    model.add(features, succeeded)
+    model.fit()
+    env = environment(model, between=0.0, patience=1, worth_a_try=0.3)
+    env.gamma, s = 1.0, env.settings
+    first = model.probability(env.observe().numpy().astype(float))
+    total, done, steps = np.zeros(env.count), np.zeros(env.count, dtype=bool), np.zeros(env.count)
+    for _ in range(20):
+        gained, success, _, _ = env.step(torch.full((env.count, 1), 0.5))
+        total += np.where(done, 0, gained.numpy())
+        steps += ~done
+        done |= success.numpy()
+    assert done.all()
+    np.testing.assert_allclose(total, s.success_reward - s.shaping * first - s.step_cost * steps, atol=1e-5)
+
+
+def test_time_out_ends_an_episode_and_some_begin_on_the_way_of_a_success() -> None:
+    env = environment(SuccessModel(2, 0), between=1.0)
+    for _ in range(20):
+        _, success, _, truncated = env.step(torch.full((env.count, 1), 0.5))
+        env.reset(torch.nonzero(success | truncated).flatten())
+    later = environment(SuccessModel(2, 0))
+    for _ in range(19):
+        assert not later.step(torch.full((later.count, 1), -1.0))[3].any()
+    assert later.step(torch.full((later.count, 1), -1.0))[3].all()
+    assert (env.observe()[:, 0] > 0.31).any()
+
+
+def test_nowhere_to_begin_is_an_error() -> None:
+    with pytest.raises(TrainingError, match="mine failures first"):
+        RecoveryEnv(EMBODIMENT, [], JUDGE, see, SuccessModel(2, 0), count=1, horizon=5, seed=0)
+
+
+@pytest.mark.parametrize(("shaping", "while_exploring"), [(3.0, 0.9), (0.0, 0.7)])
+def test_ppo_learns_to_recover_by_the_verdict(shaping: float, while_exploring: float, tmp_path: Path) -> None:
+    """With what the model knows of the skill, and with the verdict alone."""
+    model = SuccessModel(2, 0)
+    if shaping:
+        model.add(*try_from(EMBODIMENT, anywhere(200), JUDGE, see))
+        model.fit()
+
+    @contextmanager
+    def opened(done: int) -> Iterator[RecoveryEnv]:
+        yield environment(model, count=32, shaping=shaping)
+
+    torch.manual_seed(0)
+    net = ActorCritic(width=32, depth=2, observations=2, actions=1)
+    settings = PpoSettings(
+        scenes=32, steps=16, total_steps=20_000, least_steps=4_000, minibatch=128, anneal_steps=8_000, stop_at=0.95
+    )
+    curve = train_policy(net, opened, settings, 0, tmp_path / "ppo.safetensors", lambda *_: None)
+    assert curve["success"][-1] >= while_exploring
+    # And in fresh failures, without noise, judged by the skill itself.
+    recovered = 0
+    for start in failing(20, seed=9):
+        rail = Rail(start.task)
+        for _ in range(20):
+            with torch.no_grad():
+                action = net.act(torch.as_tensor(see(rail.perceive()), dtype=torch.float32)[None])
+            rail.act(0.1 * action.clamp(-1, 1).numpy()[0], 0.1)
+            if JUDGE(rail):  # type: ignore[arg-type]
+                recovered += 1
+                break
+    assert recovered >= 18
+
+
+def _part(number: int, count: int) -> RecoveryEnv:
+    return environment(SuccessModel(2, number), count=count)
+
+
+def _no_part(number: int, count: int) -> RecoveryEnv:
+    raise TrainingError("the simulator is broken")
+
+
+def test_processes_step_as_one_environment_and_follow_one_model() -> None:
+    model = SuccessModel(2, 0)
+    model.add(*try_from(EMBODIMENT, anywhere(200), JUDGE, see))
+    model.fit()
+    action = torch.linspace(-1, 1, 6)[:, None]
+    alone = environment(SuccessModel(2, 0), count=3)
+    alone.model.load(model.weights())
+    alone.follow(alone.model)
+    with SharedEnv(_part, model, 6, 2) as env:
+        np.testing.assert_array_equal(env.observe()[:3], alone.observe())
+        for _ in range(25):
+            told, mine = env.step(action), alone.step(action[:3])
+            for column, own in zip(told, mine, strict=True):
+                np.testing.assert_allclose(column[:3], own)
+            over = torch.nonzero(told[2] | told[3]).flatten()
+            env.reset(over)
+            alone.reset(over[over < 3])
+            np.testing.assert_array_equal(env.observe()[:3], alone.observe())
+        before = model.attempts
+        env.learn()
+        assert model.attempts > before
+
+
+def test_a_process_that_cannot_begin_says_why() -> None:
+    with pytest.raises(TrainingError, match="the simulator is broken"):
+        SharedEnv(_no_part, SuccessModel(2, 0), 4, 2)
