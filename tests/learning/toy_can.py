@@ -32,7 +32,12 @@ class ToyWithCan(Toy):
 
     def near(self, state: State, block: Object) -> bool:
         """Does a can stand in the way of the fingers at this block?"""
-        return any(np.linalg.norm(state[c][:2] - state[block][:2]) < self.clear for c in state.of_type(CAN))
+        return self.gap_to_can(state, block) < self.clear
+
+    @staticmethod
+    def gap_to_can(state: State, block: Object) -> float:
+        """The distance, m, between the centres of the block and the nearest can."""
+        return min((float(np.linalg.norm(state[c][:2] - state[block][:2])) for c in state.of_type(CAN)), default=1.0)
 
     def with_can(self, state: State, block: Object, least: float, most: float) -> State | None:
         """The state with the can so far, m, from a block, and in nobody else's way; None where there is no room."""
@@ -61,7 +66,13 @@ class ToyWithCan(Toy):
             return state, False
         if (skill == "Pick" and self.near(state, objects[1])) or (skill == "Insert" and self.near(state, objects[2])):
             return state, False
-        return super().run(state, skill, objects)
+        after, succeeded = super().run(state, skill, objects)
+        for _ in range(50):
+            if skill != "Recover" or not succeeded or self.gap_to_can(after, objects[1]) > self.away:
+                break
+            # A recovery does not bring its block beside a can.
+            after, succeeded = super().run(state, skill, objects)
+        return after, succeeded
 
     def mend(self, state: State, objects: tuple[Object, ...]) -> tuple[str, tuple[Object, ...]]:
         return ("Push", (*objects, CAN_0)) if self.near(state, objects[1]) else super().mend(state, objects)
