@@ -160,11 +160,15 @@ def test_concepts_survive_a_library(concepts: Concepts, tmp_path) -> None:
 def test_a_library_that_does_not_fit_is_refused(concepts: Concepts) -> None:
     pddl, records = concepts.report["pddl"], dict(concepts.records)
     with pytest.raises(LibraryError, match="no classifier for HandEmpty"):
-        load_concepts(pddl, records, TYPES, {})
+        load_concepts(pddl, records, TYPES, {}, DOMAIN.relations)
     with pytest.raises(LibraryError, match="declares no predicate 'Other'"):
-        load_concepts(pddl, {**records, "Other": next(iter(records.values()))}, TYPES, DOMAIN.classifiers)
+        strange = {**records, "Other": next(iter(records.values()))}
+        load_concepts(pddl, strange, TYPES, DOMAIN.classifiers, DOMAIN.relations)
     with pytest.raises(LibraryError, match="of kind"):
-        load_concepts(pddl, {**records, "ReadyPick": Record({"kind": "magic"})}, TYPES, DOMAIN.classifiers)
+        strange = {**records, "ReadyPick": Record({"kind": "magic"})}
+        load_concepts(pddl, strange, TYPES, DOMAIN.classifiers, DOMAIN.relations)
+    with pytest.raises(LibraryError, match="normaliser"):
+        load_concepts(pddl, records, TYPES, DOMAIN.classifiers)
 
 
 def test_a_given_skill_that_no_dream_uses_proposes_nothing_and_stays_as_it_was_given(
