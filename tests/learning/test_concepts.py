@@ -118,6 +118,8 @@ def test_a_library_that_does_not_fit_is_refused(concepts: Concepts) -> None:
         load_concepts(pddl, {**records, "Other": next(iter(records.values()))}, DOMAIN)
     with pytest.raises(LibraryError, match="of kind"):
         load_concepts(pddl, {**records, "ReadyPick": Record({"kind": "magic"})}, DOMAIN)
+    with pytest.raises(LibraryError, match="normaliser"):
+        load_concepts(pddl, records, replace(DOMAIN, relations={}))
 
 
 def test_a_given_skill_that_no_dream_uses_proposes_nothing_and_stays_as_it_was_given(
