@@ -12,9 +12,11 @@ import pytest
 
 from resync_robot import __version__, cli
 from resync_robot.calibrate import CalibrateConfig
+from resync_robot.check_domain import CheckDomainConfig
 from resync_robot.core.errors import ConfigError, DiskError
 from resync_robot.doctor import DoctorConfig
 from resync_robot.evaluate import EvaluateConfig
+from resync_robot.new_domain import NewDomainConfig
 from resync_robot.review import ReviewConfig
 from resync_robot.train import QUICK_MINUTES, TrainConfig
 
@@ -60,14 +62,21 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
     assert "LOADED []" in outcome.stdout
 
 
+UNNAMED = {
+    (ReviewConfig, "episode"),
+    (CalibrateConfig, "what"),
+    (CheckDomainConfig, "domain"),
+    (NewDomainConfig, "name"),
+}
+
+
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_every_command_explains_each_of_its_options(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code(name, "--help") == 0
     shown = capsys.readouterr().out
     settings = cli.COMMANDS[name][0]
     for field in settings.__dataclass_fields__:
-        unnamed = (settings, field) in {(ReviewConfig, "episode"), (CalibrateConfig, "what")}
-        assert f"--{field.replace('_', '-')}" in shown or unnamed
+        assert f"--{field.replace('_', '-')}" in shown or (settings, field) in UNNAMED
     assert "{None}" not in shown
 
 
