@@ -6,7 +6,7 @@ import json
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import tyro
 
@@ -24,7 +24,7 @@ MOST_WORLDS = 1000
 class CheckDomainConfig:
     """Check that a domain keeps its contract: its parts fit, its scenes stand, its failures can be learned from."""
 
-    domain: Annotated[str, tyro.conf.Positional] = "cornered-insertion-s"
+    domain: tyro.conf.Positional[str] = "cornered-insertion-s"
     """The domain: a name, a file (path.py or path.py:NAME), or package.module:NAME."""
 
     worlds: int = 20

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
@@ -15,7 +14,7 @@ from resync_robot.given import Given
 class NewDomainConfig:
     """Write a small complete domain to a file, for you to change into yours (docs/own-domain.md)."""
 
-    name: Annotated[str, tyro.conf.Positional]
+    name: tyro.conf.Positional[str]
     """Its name: small letters, digits and '-'."""
 
     out: Given[Path] = None
