@@ -56,7 +56,8 @@ class Floor:
 
     def reset(self, state: State) -> bool:
         """Everything where the state has it; False where things overlap or lie outside."""
-        self.time, self._state, self._touched = 0.0, state, {}
+        self.time, self._state = 0.0, state
+        self._touched: dict[Object, float] = {}
         self._at = {o: np.array(state[o][:2]) for o in state}
         solid = [o for o in state if o.type is not FLAG]
         apart = all(self._gap(a, b) > -1e-6 for i, a in enumerate(solid) for b in solid[i + 1 :])
