@@ -43,7 +43,7 @@ def deploy(config: DeployConfig) -> int:
     from resync_robot.replayed_episode import as_recorded, check_rig, recorded_task
     from resync_robot.run_folder import check_folder, default_folder
     from resync_robot.signals import held
-    from resync_robot.sim_training.domains import find_domain
+    from resync_robot.sim_training.domains import find_arm_domain
     from resync_robot.sources import deployed_by_camera
 
     check_range("--episodes", config.episodes, 1, MOST_EPISODES)
@@ -52,7 +52,7 @@ def deploy(config: DeployConfig) -> int:
     recording = _recording(config)
     config = config if recording is None else as_recorded(config, recording)
     check_plan_files(config)
-    domain, rig = find_domain(config.domain), load_rig(config.rig)
+    domain, rig = find_arm_domain(config.domain), load_rig(config.rig)
     if config.backend == "ur7e":
         _check_rig(config, rig)
     if recording is None:

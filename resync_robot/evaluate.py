@@ -129,7 +129,7 @@ def evaluate(config: EvaluateConfig) -> None:
     from resync_robot.progress import Stages, say
     from resync_robot.result_file import ResultFile
     from resync_robot.run_folder import git_hash
-    from resync_robot.sim_training.domains import find_domain
+    from resync_robot.sim_training.domains import find_arm_domain
     from resync_robot.sim_training.parallel import parallel_map
     from resync_robot.sources import evaluated_sources, in_words
 
@@ -149,7 +149,7 @@ def evaluate(config: EvaluateConfig) -> None:
             config.scenes, config.seeds, config.workers, config.json, config.rig, config.resume, config.worlds
         )
     check_range("--episodes", config.episodes, 1, MOST_EPISODES)
-    domain, rig = find_domain(config.domain), load_rig(config.rig)
+    domain, rig = find_arm_domain(config.domain), load_rig(config.rig)
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     seeds = count_once("seed", config.seeds)
     # By content: the same library under two names is one.

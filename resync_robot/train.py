@@ -85,10 +85,10 @@ def train(config: TrainConfig) -> None:
     from resync_robot.core.options import MOST_WORKERS, check_range, check_seed
     from resync_robot.progress import say
     from resync_robot.run_settings import CONFIG, SHAPING, RunSettings
-    from resync_robot.sim_training.domains import find_domain
+    from resync_robot.sim_training.domains import find_arm_domain, find_domain
 
     given = {name: getattr(config, name) for name in SHAPING if getattr(config, name) is not None}
-    domain = find_domain(given.get("domain", RunSettings.domain))
+    domain = find_arm_domain(given.get("domain", RunSettings.domain))
     if "domain" in given:
         given["domain"] = domain.spec
     begun = RunSettings(**given)

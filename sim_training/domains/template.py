@@ -16,14 +16,15 @@ import numpy as np
 from resync_robot.core.embodiment import Embodiment, Stage
 from resync_robot.core.skill import Ending, Outcome, Skill
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object, Operator, Predicate, Type, Variable
+from resync_robot.core.symbols import ROUND, SE2, Object, Operator, Predicate, Type, Variable
 from resync_robot.core.task import Domain, Scenario, Task
 from resync_robot.core.world import Observation
 
 # What there is: types with a pose first, then sizes. SI units.
-ROBOT = Type("robot", ("x", "y", "theta", "diameter"))
-CRATE = Type("crate", ("x", "y", "theta", "diameter"))
-FLAG = Type("flag", ("x", "y", "theta"))
+ROUND_BODY = ("diameter", "diameter")
+ROBOT = Type("robot", ("x", "y", "theta", "diameter"), pose=SE2, extents=ROUND_BODY, symmetry=ROUND, exact=True)
+CRATE = Type("crate", ("x", "y", "theta", "diameter"), pose=SE2, extents=ROUND_BODY, symmetry=ROUND)
+FLAG = Type("flag", ("x", "y", "theta"), pose=SE2, symmetry=ROUND)
 
 # What can be told of a state.
 REACHED = Predicate("Reached", (ROBOT, FLAG))

@@ -19,9 +19,9 @@ from pathlib import Path
 
 from resync_robot.core.library import load_library
 from resync_robot.distil import PLANS, distil
-from resync_robot.learning.failures import PairGaussian
 from resync_robot.run_folder import RunFolder
 from resync_robot.sim_training.domains import find_domain
+from tests.libraries import gaussians_of
 
 LARGE = replace(PLANS["full"], worlds=256, rounds=0, steps=1500, trials=32)
 
@@ -51,7 +51,7 @@ def main() -> None:
     args = parser.parse_args()
     library = load_library(args.run / "library")
     domain = find_domain(library.domain)
-    gaussians = {k: PairGaussian.from_json(v) for k, v in library.gaussians.items()}
+    gaussians = gaussians_of(library)
     plan = LARGE if args.plan == "large" else PLANS[args.plan]
     folder, clock = RunFolder(args.out), _Clock()
     distil(domain, folder, plan, library.skills[domain.recovery], gaussians, 0, args.workers, args.device, clock)

@@ -62,7 +62,11 @@ def test_dreams_and_demonstrations_begin_as_they_did_with_the_shipped_gaussians(
     from resync_robot.sim_training.demos.starts import draw_start
     from resync_robot.sim_training.dream import DreamSpec, dream_task
 
-    gaussians = {k: PairGaussian.from_json(v, 4) for k, v in load_library(shipped_library(DOMAIN)).gaussians.items()}
+    failure = load_library(shipped_library(DOMAIN)).stages[0].failure
+    gaussians = {
+        "before": PairGaussian.from_json(failure.before["box"], 4),
+        "after": PairGaussian.from_json(failure.after["box"], 4),
+    }
     for when in ("before", "after"):
         for reference in ("picked", "base", "bystander"):
             task = dream_task(DreamSpec(when, reference, 11), CORNERED, gaussians)
