@@ -1,5 +1,7 @@
 # `make demo` and `make test` need python3, git and make; everything else they set up in .venv.
 PYTHON ?= python3
+# Processes that share the quick tests.
+JOBS ?= 2
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 
@@ -22,7 +24,7 @@ lint: .venv/.stamp  ## style, types, and which room may import which
 	$(BIN)/lint-imports
 
 test: lint          ## lint and every quick test
-	$(BIN)/pytest -m "not slow and not realtime"
+	$(BIN)/pytest -n $(JOBS) -m "not slow and not realtime"
 
 test-slow: .venv/.stamp ## the tests that take minutes, and those that a busy machine fails
 	$(BIN)/pytest -m "slow or realtime"
