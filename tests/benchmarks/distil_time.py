@@ -62,7 +62,7 @@ def main() -> None:
         "steps/s": round(steps / clock.seconds["training"], 2),
         "trials/s": round((plan.rounds + 1) * plan.trials / clock.seconds["trials"], 2),
     }
-    points = json.loads((folder.stages / "distil.json").read_text())
+    points = json.loads((folder.stages / "distil.json").read_text("utf-8"))
     print(json.dumps({"plan": args.plan, "device": args.device, "workers": args.workers, **seconds, **rates}))
     print(json.dumps(points))
 
