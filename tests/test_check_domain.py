@@ -22,7 +22,7 @@ def test_the_guide_s_domain_passes_and_is_drawn(tmp_path: Path, capsys: pytest.C
 
 def test_a_broken_one_ends_with_code_2_and_every_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "broken.py"
-    text = PUCK_FILE.read_text().replace('"Holding": holding, "At": at', '"Holding": holding')
+    text = PUCK_FILE.read_text("utf-8").replace('"Holding": holding, "At": at', '"Holding": holding')
     file.write_text(text.replace("horizon=30", "horizon=0"))
     assert cli.main(["check-domain", str(file), "--json"]) == 2
     told = json.loads(capsys.readouterr().out)

@@ -187,7 +187,7 @@ def test_git_never_changes_the_line_ends_of_the_shipped_library(tmp_path: Path) 
 
 def alter_manifest(folder: Path, **values: object) -> None:
     path = folder / "library.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
+    path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), **values}))
 
 
 def test_another_version_is_refused(folder: Path) -> None:
@@ -206,12 +206,12 @@ def test_a_library_of_one_stage_only_is_refused_with_what_to_use_instead(folder:
 def alter_stage(folder: Path, to: str = "stages/2-Push.json", **values: object) -> None:
     """Change fields of the second stage, or its name, and list what comes of it."""
     path = folder / "stages/2-Push.json"
-    saved = json.loads(path.read_text())
+    saved = json.loads(path.read_text("utf-8"))
     if isinstance(failure := values.get("failure"), dict):
         values = {**values, "failure": {**saved["failure"], **failure}}
     path.unlink()
     (folder / to).write_text(json.dumps({**saved, **values}))
-    listed = json.loads((folder / "library.json").read_text())["files"]
+    listed = json.loads((folder / "library.json").read_text("utf-8"))["files"]
     del listed["stages/2-Push.json"]
     alter_manifest(folder, files={**listed, to: hashlib.sha256((folder / to).read_bytes()).hexdigest()})
 
@@ -241,7 +241,7 @@ def test_stages_that_do_not_count_from_one_are_refused(folder: Path, name: str) 
 @pytest.mark.parametrize("name", ["../secret", "predicates/../../secret", "/etc/hostname"])
 def test_a_file_outside_the_folder_is_refused_unread(folder: Path, name: str) -> None:
     (folder.parent / "secret").write_text("not yours")
-    listed = json.loads((folder / "library.json").read_text())["files"]
+    listed = json.loads((folder / "library.json").read_text("utf-8"))["files"]
     alter_manifest(folder, files={**listed, name: "0" * 64})
     refused(folder, "outside the library", name)
 
@@ -266,7 +266,7 @@ def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
 def test_weights_that_are_none_are_refused_though_their_hash_is_right(folder: Path) -> None:
     junk = b"\x80\x04junk that a pickle reader would run"
     (folder / "predicates/free.safetensors").write_bytes(junk)
-    listed = json.loads((folder / "library.json").read_text())["files"]
+    listed = json.loads((folder / "library.json").read_text("utf-8"))["files"]
     listed["predicates/free.safetensors"] = hashlib.sha256(junk).hexdigest()
     alter_manifest(folder, files=listed)
     refused(folder, "free.safetensors cannot be read")

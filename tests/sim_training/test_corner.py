@@ -32,7 +32,7 @@ CORNERED = find_domain(DOMAIN)
 def frozen() -> dict[str, Any]:
     """Scenes with blocks in, at and outside of boxes, upright and tilted, as they were seen when the library was
     trained, and worlds as they were drawn."""
-    return json.loads((Path(__file__).parent / "frozen" / "corner.json").read_text())
+    return json.loads((Path(__file__).parent / "frozen" / "corner.json").read_text("utf-8"))
 
 
 def test_the_shipped_library_sees_what_it_was_trained_on(frozen: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ from resync_robot.core.errors import ConfigError, ResyncError, UnknownNameError
 from resync_robot.sim_training.domains import DOMAINS, find_domain, finding
 from tests.domains import PUCK_DOMAIN, PUCK_FILE, puck
 
-WHOLE = PUCK_FILE.read_text()
+WHOLE = PUCK_FILE.read_text("utf-8")
 
 
 def test_a_file_is_found_with_and_without_a_name() -> None:
