@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from resync_robot.core.embodiment import Stage, TrainingSimulator
+from resync_robot.core.embodiment import Embodiment, Stage, TrainingSimulator
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.skill import GroundSkill, Outcome
 from resync_robot.core.state import State
@@ -84,11 +84,9 @@ class _LastContacts(Listener):
         self.ended = skill, hardest
 
 
-def attempt(domain: Domain, task: Task, model: Model) -> FailedAttempt | None:
+def attempt(embodiment: Embodiment, task: Task, model: Model) -> FailedAttempt | None:
     """Plan and execute up to the first failure. None where nothing fails, or the scene does not stand still."""
-    if domain.embodiment is None:
-        raise TrainingError(f"the domain {domain.name} declares no embodiment", "see docs/own-domain.md")
-    simulator = domain.embodiment.simulate(task)
+    simulator = embodiment.simulate(task)
     if not simulator.reset(task.initial):
         return None
     heard = _LastContacts(simulator)
@@ -99,7 +97,9 @@ def attempt(domain: Domain, task: Task, model: Model) -> FailedAttempt | None:
     return FailedAttempt(task, simulator.perceive(), skill, run_into)
 
 
-def mine_stage(domain: Domain, stage: Stage, model: Model, first_seed: int, count: int) -> list[FailedAttempt]:
+def mine_stage(
+    domain: Domain, embodiment: Embodiment, stage: Stage, model: Model, first_seed: int, count: int
+) -> list[FailedAttempt]:
     """`count` failures of the stage's scenario, from as many tasks as that takes.
 
     Raises:
@@ -109,7 +109,7 @@ def mine_stage(domain: Domain, stage: Stage, model: Model, first_seed: int, coun
     scenario, most = domain.scenario(stage.scenario), 10 * count + 20
     for seed in range(first_seed, first_seed + most):
         task = scenario.sample_practice(np.random.default_rng(seed), seed)
-        failed = attempt(domain, task, model)
+        failed = attempt(embodiment, task, model)
         if failed is not None:
             found.append(failed)
         if len(found) == count:

@@ -66,11 +66,14 @@ class Problem:
 
 
 def pose_problem(
-    domain: Domain, stage: Stage, model: Model, explanation: Explanation, failures: Sequence[FailedAttempt]
+    domain: Domain,
+    embodiment: Embodiment,
+    stage: Stage,
+    model: Model,
+    explanation: Explanation,
+    failures: Sequence[FailedAttempt],
 ) -> Problem:
-    """What is to be learned. Raises TrainingError where the domain declares no embodiment."""
-    if domain.embodiment is None:
-        raise TrainingError(f"the domain {domain.name} declares no embodiment", "see docs/own-domain.md")
+    """What is to be learned."""
     operator = next(o for o in model.operators if o.name == explanation.skill)
     judge = Judge(
         model.skill(explanation.skill).ground(explanation.objects),
@@ -79,7 +82,7 @@ def pose_problem(
     )
     starts = tuple(Start(f.task, f.state) for f in failures)
     view = RelationalView(explanation.projected, domain.relations)
-    return Problem(domain.embodiment, stage, explanation, starts, judge, view)
+    return Problem(embodiment, stage, explanation, starts, judge, view)
 
 
 def free_starts(domain: Domain, problem: Problem, first_seed: int, count: int) -> list[Start]:

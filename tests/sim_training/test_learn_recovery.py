@@ -35,7 +35,7 @@ def model(domain: Domain) -> Model:
 
 @pytest.fixture(scope="module")
 def failures(domain: Domain, model: Model) -> list[FailedAttempt]:
-    return mine_stage(domain, domain.stages[0], model, 0, 40)
+    return mine_stage(domain, domain.embodiment, domain.stages[0], model, 0, 40)
 
 
 def test_failures_are_explained_by_what_was_run_into(failures: list[FailedAttempt]) -> None:
@@ -46,7 +46,7 @@ def test_failures_are_explained_by_what_was_run_into(failures: list[FailedAttemp
 
 
 def test_each_stage_has_its_own_culprit(domain: Domain, model: Model) -> None:
-    found = explain(mine_stage(domain, domain.stages[1], model, 0, 10))
+    found = explain(mine_stage(domain, domain.embodiment, domain.stages[1], model, 0, 10))
     assert [o.name for o in found.culprits] == ["stone"]
 
 
@@ -62,7 +62,7 @@ def test_failures_without_contact_explain_nothing(failures: list[FailedAttempt])
 def test_a_scenario_that_does_not_fail_is_an_error(domain: Domain, model: Model) -> None:
     easy = replace(domain.stages[0], scenario="open")
     with pytest.raises(TrainingError, match="tasks of open failed, 2 failures are needed"):
-        mine_stage(domain, easy, model, 0, 2)
+        mine_stage(domain, domain.embodiment, easy, model, 0, 2)
 
 
 def test_the_view_is_of_the_objects_and_of_nothing_else(domain: Domain, failures: list[FailedAttempt]) -> None:
@@ -83,7 +83,7 @@ def test_a_recovery_is_learned_that_opens_the_door(
 ) -> None:
     """In its executed form: the failed skill, then the policy, until it says itself that it is done; in fresh tasks."""
     stage, found = domain.stages[0], explain(failures)
-    problem = pose_problem(domain, stage, model, found, failures)
+    problem = pose_problem(domain, domain.embodiment, stage, model, found, failures)
     ppo = PpoSettings(
         scenes=32, total_steps=60_000, least_steps=12_000, stop_at=0.95, minibatch=256, anneal_steps=40_000
     )
@@ -108,9 +108,3 @@ def _then_fetched(domain: Domain, judge, ground) -> int:  # type: ignore[no-unty
         simulator.reset(task.initial)
         good += run_skill(simulator, ground).done and judge(simulator)
     return good
-
-
-def test_a_domain_without_a_robot_cannot_be_mined(domain: Domain, model: Model) -> None:
-    nobody = replace(domain, embodiment=None)
-    with pytest.raises(TrainingError, match="declares no embodiment"):
-        mine_stage(nobody, domain.stages[0], model, 0, 1)
