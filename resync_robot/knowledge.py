@@ -8,7 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from resync_robot.core.errors import LibraryError
+from resync_robot.core.embodiment import Embodiment
+from resync_robot.core.errors import ConfigError, LibraryError
 from resync_robot.core.library import RETRAIN, LearnedStage, Library, Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Skill
@@ -26,13 +27,51 @@ def shipped_library(domain: str) -> Path:
     return Path(__file__).parent / "shipped" / domain
 
 
-def initial_model(domain: Domain, rig: Rig) -> Model:
-    """What the robot knows before it has failed (C_0, Psi_0, Op_0)."""
-    from resync_robot.policies.scripted import scripted_skills
+def embodiment_of(domain: Domain, rig: Rig | None) -> Embodiment:
+    """The robot of a domain: its own, or the arm of the rig. Raises ConfigError where there is none."""
+    if domain.embodiment is not None:
+        return domain.embodiment
+    raise ConfigError(f"the domain {domain.name} declares no embodiment", "see docs/own-domain.md")
 
-    given = scripted_skills(rig) if domain.embodiment is None else domain.embodiment.skills()
+
+def initial_model(domain: Domain, rig: Rig | None) -> Model:
+    """What the robot knows before it has failed (C_0, Psi_0, Op_0).
+
+    Args:
+        rig: of an arm; a domain with a robot of its own has none.
+    """
+    if domain.embodiment is not None:
+        given = domain.embodiment.skills()
+    else:
+        from resync_robot.policies.scripted import scripted_skills
+
+        given = scripted_skills(_required(rig))
     skills = {s.name: s for s in given}
     return Model(skills, Abstraction(domain.predicates, domain.classifiers), domain.operators)
+
+
+def _required(rig: Rig | None) -> Rig:
+    if rig is None:
+        raise ConfigError("an arm needs a rig", "give one with --rig")
+    return rig
+
+
+def recovery_of(domain: Domain, rig: Rig | None, name: str, record: Record, skills: Mapping[str, Skill]) -> Skill:
+    """The learned skill of a record, which follows the simulator's state. Raises LibraryError on a broken record.
+
+    Args:
+        skills: the given ones, among them the one whose failure it mends.
+    """
+    if domain.embodiment is None:
+        from resync_robot.policies.neural import recovery_skill
+
+        return recovery_skill(name, record, _required(rig))
+    from resync_robot.learning.learned_recovery import LearnedRecovery
+
+    learned = LearnedRecovery.from_record(name, record, {t.name: t for t in domain.types})
+    if learned.failed_skill not in skills:
+        raise LibraryError(f"{name} begins with {learned.failed_skill}, which is no skill here", RETRAIN)
+    return learned.skill(skills[learned.failed_skill], domain.embodiment, domain.relations)
 
 
 def known_concepts(domain: Domain, library: Library) -> Concepts:
@@ -54,10 +93,8 @@ def model_with_recovery(domain: Domain, rig: Rig, record: Record, skill: Skill |
     Args:
         skill: the recovery to use; by default the record's own, which follows the simulator's state.
     """
-    from resync_robot.policies.neural import recovery_skill
-
     model = initial_model(domain, rig)
-    skill = skill or recovery_skill(domain.recovery, record, rig)
+    skill = skill or recovery_of(domain, rig, domain.recovery, record, model.skills)
     return Model({**model.skills, skill.name: skill}, model.abstraction, model.operators)
 
 
@@ -86,14 +123,12 @@ def camera_recovery(domain: Domain, rig: Rig, library: Library) -> Skill:
     return camera_recovery_skill(domain.recovery, student, rig, hues=catalogue_of(rig).hues)
 
 
-def learned_model(domain: Domain, rig: Rig, library: Library, recoveries: Sequence[Skill] = ()) -> Model:
+def learned_model(domain: Domain, rig: Rig | None, library: Library, recoveries: Sequence[Skill] = ()) -> Model:
     """Everything a library holds. Raises LibraryError where it does not fit the domain.
 
     Args:
         recoveries: in place of those of the same names that follow the simulator's state.
     """
-    from resync_robot.policies.neural import recovery_skill
-
     concepts = known_concepts(domain, library)
     if not library.stages:
         raise LibraryError("the library holds no stage, and so no recovery", RETRAIN)
@@ -102,7 +137,8 @@ def learned_model(domain: Domain, rig: Rig, library: Library, recoveries: Sequen
         raise LibraryError(f"the library holds no skill '{missing[0]}'", RETRAIN)
     skills = dict(initial_model(domain, rig).skills)
     for stage in library.stages:
-        skills[stage.recovery] = recovery_skill(stage.recovery, library.skills[stage.recovery], rig)
+        name = stage.recovery
+        skills[name] = recovery_of(domain, rig, name, library.skills[name], skills)
     skills |= {skill.name: skill for skill in recoveries}
     predicates, operators = concepts.predicates, concepts.operators
     try:
@@ -148,7 +184,7 @@ def _costs(
 
 def make_library(
     domain: Domain,
-    rig: Rig,
+    rig: Rig | None,
     stage: LearnedStage,
     recovery: Record,
     concepts: Concepts,
@@ -167,7 +203,7 @@ def make_library(
     name = stage.recovery
     return Library(
         domain=domain.name,
-        rig_hash=rig.hash,
+        rig_hash=rig.hash if rig is not None else "",
         domain_pddl=domain_to_pddl(domain.name, domain.types, concepts.predicates, concepts.operators),
         predicates=concepts.records,
         skills={**(known.skills if known else {}), name: recovery},

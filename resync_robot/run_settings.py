@@ -23,9 +23,15 @@ class RunSettings:
     device: Literal["cpu", "cuda"] = "cpu"
     concepts: Literal["default", "paper"] = "default"
     skills: Literal["camera", "state"] = "camera"
+    stages: str = ""
+    library: str = ""
 
 
 SHAPING = tuple(f.name for f in fields(RunSettings))
+ADDED = ("stages", "library")
+"""Settings that runs of earlier versions did not keep."""
+OPTIONS = {"library": "from"}
+"""What a setting is called on the command line, where that is not its own name."""
 
 
 def read_settings(
@@ -53,6 +59,8 @@ def read_settings(
         raise ConfigError(f"{file} is not the config of a run", lost)
     kinds = get_type_hints(RunSettings)
     for name in SHAPING:
+        if name not in saved and name in ADDED:
+            saved[name] = getattr(RunSettings, name)
         if name not in saved:
             raise ConfigError(f"{file} is not the config of a run: it has no '{name}'", lost)
         value, allowed = saved[name], get_args(kinds[name])
@@ -64,13 +72,17 @@ def read_settings(
         elif name == "seed":
             if not isinstance(value, int) or isinstance(value, bool) or value < 0:
                 raise ConfigError(f"{file}: 'seed' is {value!r}; allowed: whole numbers from 0 on", lost)
+        elif kinds[name] is str:
+            if not isinstance(value, str):
+                raise ConfigError(f"{file}: '{name}' is {value!r}; allowed: text", lost)
         elif value not in allowed:
             raise ConfigError(f"{file}: '{name}' is {value!r}; allowed: {', '.join(allowed)}", lost)
     for name, value in given.items():
+        option = OPTIONS.get(name, name)
         if value != saved[name]:
             raise ConfigError(
-                f"the run in {path} began with --{name} {saved[name]}, not {value}, and keeps it",
-                f"leave --{name} out to go on with it, or start a new run without --resume",
+                f"the run in {path} began with --{option} {saved[name] or '(none)'}, not {value}, and keeps it",
+                f"leave --{option} out to go on with it, or start a new run without --resume",
             )
     rig = saved.get("rig")
     if rig is not None and not isinstance(rig, str):

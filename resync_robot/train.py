@@ -69,6 +69,13 @@ class TrainConfig:
     """camera (default): teach the recovery to see by camera as well, at the end. state: leave it at the simulator's
     state."""
 
+    stages: Given[str] = None
+    """The stages to learn, by number or by the name of their recovery, separated by commas. Default: all that the
+    domain declares, or those that the library of --from does not know."""
+
+    library: Annotated[Path | None, tyro.conf.arg(name="from", help_behavior_hint="")] = None
+    """A library to build on: a folder, of this domain. Default: begin with the given model."""
+
     workers: int = 2
     """Simulation processes, for --device cpu."""
 
@@ -85,12 +92,20 @@ def train(config: TrainConfig) -> None:
     from resync_robot.core.options import MOST_WORKERS, check_range, check_seed
     from resync_robot.progress import say
     from resync_robot.run_settings import CONFIG, SHAPING, RunSettings
-    from resync_robot.sim_training.domains import find_arm_domain, find_domain
+    from resync_robot.sim_training.domains import find_domain
 
     given = {name: getattr(config, name) for name in SHAPING if getattr(config, name) is not None}
-    domain = find_arm_domain(given.get("domain", RunSettings.domain))
+    domain = find_domain(given.get("domain", RunSettings.domain))
     if "domain" in given:
         given["domain"] = domain.spec
+    if config.library is not None:
+        given["library"] = str(config.library.resolve())
+    if domain.embodiment is not None:
+        _check_own_robot(config)
+        given["skills"] = "state"
+    elif config.stages is not None or config.library is not None:
+        option = "--stages" if config.stages is not None else "--from"
+        raise ConfigError(f"{option} is for domains with a robot of their own so far", "leave it out")
     begun = RunSettings(**given)
     check_seed(begun.seed)
     check_range("--workers", config.workers, 1, MOST_WORKERS)
@@ -113,7 +128,8 @@ def train(config: TrainConfig) -> None:
         run_folder.write_json(path / CONFIG, _kept(settings, folder))
         _quiet_threads()
         try:
-            _run(settings, config.workers, find_domain(settings.domain), folder)
+            found = find_domain(settings.domain)
+            (_run if found.embodiment is None else _run_stages)(settings, config.workers, found, folder)
         except KeyboardInterrupt:
             say(f"What is done is kept. Go on with:  resync-robot train-sim --resume --out {path}")
             raise
@@ -192,6 +208,20 @@ def _check_renderer() -> None:
         raise RenderError(error.what, f"{error.fix}; or leave the camera policy out with --skills state") from None
 
 
+def _check_own_robot(config: TrainConfig) -> None:
+    """What a domain with a robot of its own has no use for. Raises ConfigError."""
+    given = {
+        "--rig": config.rig,
+        "--device cuda": config.device == "cuda",
+        "--skills camera": config.skills == "camera",
+    }
+    for option, value in given.items():
+        if value:
+            raise ConfigError(
+                f"{option} is for domains of the arm, and this one has a robot of its own", "leave it out"
+            )
+
+
 def _quiet_threads() -> None:
     """One thread a process: the scenes are the parallelism."""
     import os
@@ -256,6 +286,38 @@ def _run(settings: RunSettings, w: int, domain: Domain, folder: RunFolder) -> No
         with folder.timed("save"), bars.stage("save"):
             _save(settings, domain, folder, mined, record, gaussians, concepts, policy)
     _report(domain, folder, concepts)
+
+
+def _run_stages(settings: RunSettings, workers: int, domain: Domain, folder: RunFolder) -> None:
+    from importlib.metadata import version
+
+    from resync_robot import __version__
+    from resync_robot.core.library import load_library
+    from resync_robot.curriculum.learn_stages import STEPS, Curriculum, chosen_stages, learn_stages
+    from resync_robot.curriculum.report import report
+    from resync_robot.progress import Stages, say
+
+    known_at = Path(settings.library) if settings.library else None
+    known = load_library(known_at) if known_at is not None else None
+    stages = chosen_stages(domain, settings.stages, known)
+    packages = {p: version(p) for p in ("torch", "numpy", "pyperplan")}
+    curriculum = Curriculum(
+        domain=domain,
+        stages=stages,
+        preset=settings.preset,
+        seed=settings.seed,
+        workers=workers,
+        concepts=settings.concepts,
+        provenance={**_kept(settings, folder), "version": __version__, "packages": packages},
+        known=known,
+        known_at=known_at,
+    )
+    first = len(known.stages) + 1 if known is not None else 1
+    names = [f"{number}-{s.recovery}/{step}" for number, s in enumerate(stages, first) for step in STEPS]
+    with Stages(tuple(names)) as bars:
+        library = learn_stages(curriculum, folder, bars.stage)
+    say("\n" + report(domain, library))
+    say(f"Library: {folder.library}")
 
 
 def _save(

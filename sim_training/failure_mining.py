@@ -29,12 +29,14 @@ class FailedAttempt:
 
     Attributes:
         task: in which it happened.
+        before: the state in which the skill was begun.
         state: where the skill left everything.
         skill: C^F, with its objects.
         run_into: what the robot, or what it held, met last, and how hard: N, or 1.
     """
 
     task: Task
+    before: State
     state: State
     skill: GroundSkill
     run_into: Mapping[Object, float]
@@ -94,7 +96,7 @@ def attempt(embodiment: Embodiment, task: Task, model: Model) -> FailedAttempt |
     if not result.transitions or result.transitions[-1].succeeded or heard.ended is None:
         return None
     skill, run_into = heard.ended
-    return FailedAttempt(task, simulator.perceive(), skill, run_into)
+    return FailedAttempt(task, result.transitions[-1].before, simulator.perceive(), skill, run_into)
 
 
 def mine_stage(

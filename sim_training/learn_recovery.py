@@ -22,7 +22,7 @@ from resync_robot.learning.relational_view import RelationalView
 from resync_robot.learning.success_model import SuccessModel
 from resync_robot.learning.terminals import train_terminal
 from resync_robot.planning.execute import Model
-from resync_robot.sim_training.failure_mining import Explanation, FailedAttempt
+from resync_robot.sim_training.failure_mining import Explanation
 from resync_robot.sim_training.ppo import Environment, PpoSettings, Progress, train_policy
 from resync_robot.sim_training.recovery_env import Judge, JudgedSettings, RecoveryEnv, Start, try_from
 
@@ -71,18 +71,21 @@ def pose_problem(
     stage: Stage,
     model: Model,
     explanation: Explanation,
-    failures: Sequence[FailedAttempt],
+    starts: Sequence[Start],
 ) -> Problem:
-    """What is to be learned."""
+    """What is to be learned.
+
+    Args:
+        starts: D^F, the states in which the skill had failed.
+    """
     operator = next(o for o in model.operators if o.name == explanation.skill)
     judge = Judge(
         model.skill(explanation.skill).ground(explanation.objects),
         operator.ground(explanation.objects).add,
         model.abstraction.true_atoms,
     )
-    starts = tuple(Start(f.task, f.state) for f in failures)
     view = RelationalView(explanation.projected, domain.relations)
-    return Problem(embodiment, stage, explanation, starts, judge, view)
+    return Problem(embodiment, stage, explanation, tuple(starts), judge, view)
 
 
 def free_starts(domain: Domain, problem: Problem, first_seed: int, count: int) -> list[Start]:

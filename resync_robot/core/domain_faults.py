@@ -72,6 +72,7 @@ _FIELDS: Mapping[str, Any] = {
     "world_numbers": Mapping,
     "practice": Callable,
     "expert": Callable,
+    "fixed": (Type,),
 }
 _MAY_LACK = ("embodiment", "free", "practice", "expert")
 

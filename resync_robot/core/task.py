@@ -93,6 +93,8 @@ class Domain:
         stacking: two-place predicates that put one thing upon another: a thing is upon one other at most, and never,
             by whatever way round, upon itself. The given model need not know; goals are checked by it.
         relations: how objects of two types lie beside each other, where the default of `core.relations` does not do.
+        fixed: types whose objects stay where they are, as a box or a wall does: others are moved to them when states
+            are resampled. What else causes a failure is moved to what the failure is about.
     """
 
     name: str
@@ -111,6 +113,7 @@ class Domain:
     instruction: str = ""
     stacking: tuple[Predicate, ...] = ()
     relations: Mapping[tuple[Type, Type], Relation] = field(default_factory=dict)
+    fixed: tuple[Type, ...] = ()
     spec: str = ""
 
     def __post_init__(self) -> None:
@@ -120,6 +123,11 @@ class Domain:
         """The task with one object beside another as `relative` says, in the columns of their relation: how failure
         mining and dreaming resample states."""
         return replace(task, initial=moved(task.initial, obj, beside, relative, rng, self.relations))
+
+    def moving(self, cause: Object, relevant: Object) -> tuple[Object, Object]:
+        """Of a failure's cause and what the failure is about: which is moved when states are resampled, and beside
+        which."""
+        return (relevant, cause) if cause.type in self.fixed else (cause, relevant)
 
     @property
     def recovery(self) -> str:

@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from resync_robot.core.errors import TrainingError
+from resync_robot.core.errors import LibraryError, TrainingError
+from resync_robot.core.library import RETRAIN, LearnedFailure
+from resync_robot.core.relations import between, seen
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object
+from resync_robot.core.symbols import Object, Type
+from resync_robot.core.task import Domain
 
 CONTACT_THRESHOLD_N = 20.0
 """Peak force on the hand above which an object counts as having caused a failure; a touch stays far below it."""
@@ -116,3 +119,74 @@ class PairGaussian:
             raise TrainingError(f"a Gaussian needs three relative poses, got {len(relative)}")
         samples = np.asarray(relative)
         return PairGaussian(samples.mean(0), np.cov(samples.T) + np.diag(resolution) ** 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FailureModel:
+    """What a stage knows about its failure: enough to dream of it.
+
+    Attributes:
+        recovery: the skill that mends it.
+        skill: the skill that failed (C^F).
+        argument: which of its arguments the failure is about (o^R).
+        relevant: the type of that argument.
+        causes: o^F.
+        before, after: for each cause the Gaussian of how the two lie beside each other when the skill fails, and once
+            the recovery is done; in the columns of the relation of what `Domain.moving` moves to its anchor.
+    """
+
+    recovery: str
+    skill: str
+    argument: int
+    relevant: Type
+    causes: tuple[Object, ...]
+    before: Mapping[Object, PairGaussian]
+    after: Mapping[Object, PairGaussian]
+
+    def to_learned(self) -> LearnedFailure:
+        """As a library keeps it."""
+        return LearnedFailure(
+            skill=self.skill,
+            argument=self.argument,
+            objects={o.name: o.type.name for o in self.causes},
+            before={o.name: g.to_json() for o, g in self.before.items()},
+            after={o.name: g.to_json() for o, g in self.after.items()},
+        )
+
+    @staticmethod
+    def from_learned(recovery: str, learned: LearnedFailure, domain: Domain) -> FailureModel:
+        """The inverse. Raises LibraryError where it does not fit the domain."""
+        try:
+            types = {t.name: t for t in domain.types}
+            operator = next(o for o in domain.operators if o.name == learned.skill)
+            relevant = operator.parameters[learned.argument].type
+            causes = tuple(types[kind](name) for name, kind in learned.objects.items())
+            sizes = {o: _columns(domain, o, relevant) for o in causes}
+            before, after = (
+                {o: PairGaussian.from_json(saved[o.name], sizes[o]) for o in causes}
+                for saved in (learned.before, learned.after)
+            )
+        except (IndexError, KeyError, StopIteration, ValueError, np.linalg.LinAlgError) as error:
+            what = f"what the library knows of the failure that {recovery} mends does not fit {domain.name}: {error!r}"
+            raise LibraryError(what, RETRAIN) from None
+        return FailureModel(
+            recovery=recovery,
+            skill=learned.skill,
+            argument=learned.argument,
+            relevant=relevant,
+            causes=causes,
+            before=before,
+            after=after,
+        )
+
+
+def _columns(domain: Domain, cause: Object, relevant: Type) -> int:
+    moved, anchor = domain.moving(cause, relevant("any"))
+    return len(between(moved.type, anchor.type, domain.relations).names)
+
+
+def fit_beside(domain: Domain, states: Sequence[State], cause: Object, relevant: Object) -> PairGaussian:
+    """Where the cause of a failure lies beside what it is about, over these states. Raises TrainingError."""
+    moved, anchor = domain.moving(cause, relevant)
+    relation = between(moved.type, anchor.type, domain.relations)
+    return PairGaussian.fit([seen(s, moved, anchor, domain.relations) for s in states], relation.resolution)

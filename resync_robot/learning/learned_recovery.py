@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 
+from resync_robot.core.damage import Shape, check_shape
 from resync_robot.core.embodiment import Embodiment
-from resync_robot.core.library import Record
+from resync_robot.core.errors import LibraryError
+from resync_robot.core.library import RETRAIN, Record
 from resync_robot.core.relations import Relations
 from resync_robot.core.skill import Ending, Outcome, Policy, Skill
 from resync_robot.core.symbols import Object, Type
@@ -18,6 +21,15 @@ from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.relational_view import RelationalView
 from resync_robot.learning.terminals import Terminal
 
+FIELDS: Shape = {
+    "signature": [str],
+    "failed_skill": str,
+    "arguments": [int],
+    "horizon": int,
+    "policy": dict,
+    "terminal": dict,
+}
+"""Of the record's JSON."""
 SURE = 0.85
 """Probability of beta_N at which the recovery is done: a moment more costs less than to be taken for done wrongly."""
 
@@ -69,6 +81,34 @@ class LearnedRecovery:
             "terminal": self.done.to_record().meta,
         }
         return Record(meta, tensors)
+
+    @staticmethod
+    def from_record(name: str, record: Record, types: Mapping[str, Type]) -> LearnedRecovery:
+        """The inverse of `to_record`. Raises LibraryError where something is missing or does not fit.
+
+        Args:
+            types: of the domain, by name.
+        """
+        meta = record.meta
+        try:
+            check_shape(meta, FIELDS)
+            policy = ActorCritic.from_record(Record(meta["policy"], _part(record, "policy.")))
+            done = Terminal.from_record(Record(meta["terminal"], _part(record, "terminal.")))
+            return LearnedRecovery(
+                name=name,
+                types=tuple(types[t] for t in meta["signature"]),
+                failed_skill=meta["failed_skill"],
+                arguments=tuple(meta["arguments"]),
+                horizon=meta["horizon"],
+                policy=policy,
+                done=done,
+            )
+        except (KeyError, ValueError) as error:
+            raise LibraryError(f"the record of {name} is no recovery: {error}", RETRAIN) from None
+
+
+def _part(record: Record, prefix: str) -> dict[str, np.ndarray]:
+    return {k.removeprefix(prefix): v for k, v in record.tensors.items() if k.startswith(prefix)}
 
 
 class _Run:

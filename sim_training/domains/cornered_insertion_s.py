@@ -242,6 +242,7 @@ CORNERED_INSERTION_S = Domain(
     expert=expert,
     stacking=(ON,),
     relations=RELATIONS,
+    fixed=(BOX,),
     scenarios={s.name: s for s in SCENARIOS},
     # Figures were reported of these worlds; a new scenario needs no number.
     world_numbers={f"s{i}": i for i in range(8)},

@@ -17,6 +17,7 @@ from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import FailedAttempt, explain, mine_stage
 from resync_robot.sim_training.learn_recovery import RecoverySettings, learn_recovery, pose_problem
 from resync_robot.sim_training.ppo import PpoSettings
+from resync_robot.sim_training.recovery_env import Start
 
 PUCKS = Path(__file__).parents[2] / "docs" / "puck_behind_a_door.py"
 
@@ -83,7 +84,8 @@ def test_a_recovery_is_learned_that_opens_the_door(
 ) -> None:
     """In its executed form: the failed skill, then the policy, until it says itself that it is done; in fresh tasks."""
     stage, found = domain.stages[0], explain(failures)
-    problem = pose_problem(domain, domain.embodiment, stage, model, found, failures)
+    starts = [Start(f.task, f.state) for f in failures]
+    problem = pose_problem(domain, domain.embodiment, stage, model, found, starts)
     ppo = PpoSettings(
         scenes=32, total_steps=60_000, least_steps=12_000, stop_at=0.95, minibatch=256, anneal_steps=40_000
     )

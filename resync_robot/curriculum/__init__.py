@@ -1,0 +1,4 @@
+"""A curriculum: each stage turns a failure into a recovery, and dreams of it into symbols; it ends in a whole library.
+
+`learn_stages` is the walk: `mine` -> `recover` -> `check` -> `dream` -> `discover` -> save.
+"""

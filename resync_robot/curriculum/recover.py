@@ -1,0 +1,144 @@
+"""The recovery of a stage: learned from its failures, then tried out in fresh tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from safetensors.numpy import load_file, save_file
+
+from resync_robot.core.damage import Shape, check_shape, reading
+from resync_robot.core.embodiment import Stage
+from resync_robot.core.errors import TrainingError
+from resync_robot.core.files import whole
+from resync_robot.core.library import Record
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.curriculum.context import Context, Known
+from resync_robot.curriculum.mine import Mined, task_of
+from resync_robot.curriculum.presets import StagePreset
+from resync_robot.curriculum.stage_folder import StageFolder, Tell
+from resync_robot.learning.failures import PairGaussian, fit_beside
+from resync_robot.learning.learned_recovery import LearnedRecovery
+from resync_robot.planning.execute import run_skill
+from resync_robot.run_folder import read_json, write_json
+from resync_robot.sim_training.failure_mining import Explanation
+from resync_robot.sim_training.learn_recovery import learn_recovery, pose_problem
+from resync_robot.sim_training.parallel import parallel_map
+from resync_robot.sim_training.recovery_env import Judge
+
+LEAST_RECOVERED = 5
+"""Fresh tasks that a recovery has to mend at least: fewer tell nothing of what it leaves behind."""
+CHECKED: Shape = {"states": [dict]}
+"""The field of recovered.json: states that a recovery led to, from which the failed skill then succeeded."""
+
+
+def recover(
+    context: Context, stage: Stage, folder: StageFolder, mined: Mined, preset: StagePreset, seed: int, tell: Tell
+) -> Record:
+    """The record of the recovery: learned from `mined`, or read where it is there already. Resumes in between.
+
+    Raises:
+        TrainingError: it cannot be learned, or a file is damaged.
+    """
+    meta, weights = folder.path / "recovery.json", folder.path / "recovery.safetensors"
+    if not (folder.figures("recover") and meta.exists() and weights.exists()):
+        problem = pose_problem(
+            context.domain, context.embodiment, stage, context.model, mined.explanation, mined.starts
+        )
+        learned, figures = learn_recovery(
+            context.domain,
+            problem,
+            seed,
+            folder.path / "ppo.safetensors",
+            lambda steps, budget, rate: tell(steps / budget, f"success {rate:.3f} after {steps // 1000} k actions"),
+            preset.recovery,
+        )
+        record = learned.to_record()
+        with whole(weights) as beside:
+            save_file({k: np.ascontiguousarray(v) for k, v in record.tensors.items()}, beside)
+        write_json(meta, record.meta)
+        folder.record("recover", {**figures, "steps": figures["curve"]["steps"][-1]})
+    with reading(meta):
+        saved = read_json(meta)
+        check_shape(saved, {})
+    with reading(weights):
+        record = Record(saved, load_file(weights))
+        LearnedRecovery.from_record(stage.recovery, record, {t.name: t for t in context.domain.types})
+    return record
+
+
+@dataclass(frozen=True)
+class _Check:
+    """One fresh task for the recovery."""
+
+    stage: Stage
+    explanation: Explanation
+    seed: int
+
+
+def _check(context: Context, job: _Check) -> tuple[bool, State | None] | None:
+    """Whether the recovery said that it is done, and the state it left, if the failed skill then did its work; None
+    where the scene does not stand."""
+    task = task_of(context.domain, job.stage, job.seed)
+    simulator = context.embodiment.simulate(task)
+    if not simulator.reset(task.initial):
+        return None
+    about, model = job.explanation, context.model
+    done = run_skill(simulator, model.skill(job.stage.recovery).ground(about.projected)).done
+    left = simulator.perceive()
+    operator = next(o for o in model.operators if o.name == about.skill)
+    judge = Judge(
+        model.skill(about.skill).ground(about.objects),
+        operator.ground(about.objects).add,
+        model.abstraction.true_atoms,
+    )
+    return done, left if judge(simulator) else None
+
+
+def check(
+    known: Known,
+    context: Context,
+    stage: Stage,
+    folder: StageFolder,
+    mined: Mined,
+    seeds: range,
+    workers: int,
+    tell: Tell,
+) -> Mapping[Object, PairGaussian]:
+    """Try the recovery in fresh tasks, with the failed skill behind it: for each cause the Gaussian of where it lies
+    afterwards.
+
+    Args:
+        known: holds the recovery as a skill.
+
+    Raises:
+        TrainingError: it mends hardly any, or the file that holds what it left is damaged.
+    """
+    path, about = folder.path / "recovered.json", mined.explanation
+    if not (folder.figures("check") and path.exists()):
+        jobs = [_Check(stage, about, seed) for seed in seeds]
+        results: list[tuple[bool, State | None]] = []
+        for i, result in enumerate(parallel_map(_check, jobs, known.open, workers)):
+            if result is not None:
+                results.append(result)
+            mended = sum(s is not None for _, s in results)
+            tell((i + 1) / len(jobs), f"{about.skill} succeeds in {mended} of {len(results)} fresh tasks")
+        states = [s for _, s in results if s is not None]
+        figures = {"worlds": len(results), "done": sum(d for d, _ in results), "mended": len(states)}
+        if len(states) < LEAST_RECOVERED:
+            raise TrainingError(
+                f"{stage.recovery} mends {len(states)} of {len(results)} fresh tasks of {stage.scenario}",
+                "train for longer with --preset full, or see what check-domain says of the domain",
+            )
+        write_json(path, {"states": [s.to_json() for s in states]})
+        folder.record("check", figures)
+    with reading(path):
+        saved: Any = read_json(path)
+        check_shape(saved, CHECKED)
+        types = {t.name: t for t in context.domain.types}
+        left = [State.from_json(s, types) for s in saved["states"]]
+        object_about = about.objects[about.argument]
+        return {cause: fit_beside(context.domain, left, cause, object_about) for cause in about.culprits}

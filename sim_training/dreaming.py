@@ -1,0 +1,249 @@
+"""Dreaming in any domain: tasks before and after each recovery, around every object it could be about (section 3.2).
+
+A dream begins with a scene in which nothing obstructs anything, and places the causes of the failures that are known so
+far: each of them not at all, as before its recovery, or as after it, beside one of the objects that the failure could
+be about. The task is then solved with all that is known. Only with every such combination do the data tell "this one
+is free" from "all are free", and the causes of one failure from those of another.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from resync_robot.core.embodiment import Embodiment
+from resync_robot.core.errors import TrainingError
+from resync_robot.core.relations import moved
+from resync_robot.core.skill import GroundSkill
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object, Type
+from resync_robot.core.task import Domain, Task
+from resync_robot.core.trajectory import Trajectory, Transition
+from resync_robot.learning.dataset import ATTEMPT
+from resync_robot.learning.failures import FailureModel
+from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
+
+WHEN = ("before", "after")
+BEYOND = 1.5
+"""How far attempts are spread: from where a skill fails (0) over where its recovery leads (1) to further on."""
+UNPLACED = 0.5
+"""Share of dreams in which the causes of a failure that takes no part are there all the same."""
+REDRAWN = 20
+"""Scenes that are drawn until one stands."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """What is done with the causes of one failure.
+
+    Attributes:
+        failure: whose; its place in the order learned.
+        when: "before" or "after".
+        reference: beside which of the objects that the failure could be about, by their order.
+    """
+
+    failure: int
+    when: str
+    reference: int
+
+
+@dataclass(frozen=True)
+class Dream:
+    """Which dream to have.
+
+    Attributes:
+        placements: for each known failure that takes part, where its causes are.
+        attempt: a single attempt with the causes anywhere between before and after, and no recovery.
+    """
+
+    placements: tuple[Placement, ...]
+    seed: int
+    attempt: bool = False
+
+    @property
+    def source(self) -> str:
+        """What its trajectories are named after."""
+        return ATTEMPT if self.attempt else " ".join(f"{p.when}{p.failure + 1}@{p.reference}" for p in self.placements)
+
+
+@dataclass(frozen=True)
+class Dreamer:
+    """What dreams are made of.
+
+    Attributes:
+        failures: all that are known, in the order learned; the newest last.
+        model: what is planned with; its skills hold every recovery.
+        usual: objects of each type in the training scenes.
+    """
+
+    domain: Domain
+    embodiment: Embodiment
+    failures: tuple[FailureModel, ...]
+    model: Model
+    usual: Mapping[Type, int]
+
+    def references(self, failure: FailureModel) -> int:
+        """Objects that its causes are put beside: those of a training scene, and one that has no part in the goal."""
+        return self.usual.get(failure.relevant, 0) + 1
+
+    def combinations(self) -> list[tuple[Placement, ...]]:
+        """Every failure absent, or before or after its recovery beside each reference; all absent left out."""
+        ways = [
+            [None, *(Placement(i, when, k) for when in WHEN for k in range(self.references(f)))]
+            for i, f in enumerate(self.failures)
+        ]
+        return [found for way in product(*ways) if (found := tuple(p for p in way if p is not None))]
+
+    def dreams(self, count: int, attempts: int, first_seed: int) -> list[Dream]:
+        """An equal quota for every combination, then the attempts, shared out among them too."""
+        every = self.combinations()
+        order = np.random.default_rng(first_seed).permutation(len(every))
+        shared = [every[order[i % len(every)]] for i in range(count)]
+        dreams = [Dream(placements, first_seed + i) for i, placements in enumerate(shared)]
+        singles = [c for c in every if len(c) == 1 and c[0].when == "before"]
+        tried = [singles[i % len(singles)] for i in range(attempts)]
+        return dreams + [Dream(p, first_seed + count + i, attempt=True) for i, p in enumerate(tried)]
+
+    # -- one dream -----------------------------------------------------------------------------------------------------
+
+    def task(self, dream: Dream, again: int = 0) -> Task:
+        """The counterfactual initial state; another one for each number `again`."""
+        rng = np.random.default_rng([dream.seed, again])
+        if dream.attempt and self.domain.practice is not None:
+            return self.domain.practice(rng, dream.seed)
+        if self.domain.free is None:
+            raise TrainingError(
+                f"the domain {self.domain.name} has no scene to dream in", "give it free=, see docs/own-domain.md"
+            )
+        task = self.domain.free(rng, dream.seed, self._counts(dream, rng))
+        state = task.initial
+        for p in dream.placements:
+            state = self._placed(state, self.failures[p.failure], p, dream.attempt, rng)
+        return replace(task, initial=state)
+
+    def _counts(self, dream: Dream, rng: np.random.Generator) -> dict[Type, int]:
+        """How many objects of each type a dream has at least. Causes that take no part are sometimes there, unplaced:
+        that something is there is not yet that it obstructs."""
+        counts = Counter(self.usual)
+        parts = {p.failure: p for p in dream.placements}
+        for i, failure in enumerate(self.failures):
+            if i in parts:
+                counts[failure.relevant] = max(counts[failure.relevant] + int(rng.integers(2)), parts[i].reference + 1)
+            if i in parts or rng.random() < UNPLACED:
+                for kind, n in Counter(o.type for o in failure.causes).items():
+                    counts[kind] = max(counts[kind], n)
+        return dict(counts)
+
+    def _placed(
+        self, state: State, failure: FailureModel, p: Placement, spread: bool, rng: np.random.Generator
+    ) -> State:
+        reference = reference_of(state, failure, p.reference)
+        for known, cause in zip(failure.causes, causes_of(state, failure), strict=True):
+            before, after = failure.before[known].sample(rng), failure.after[known].sample(rng)
+            relative = before if p.when == "before" else after
+            if spread:
+                relative = before + rng.uniform(0.0, BEYOND) * (after - before)
+            what, beside = self.domain.moving(cause, reference)
+            state = moved(state, what, beside, relative, rng, self.domain.relations)
+        return state
+
+    def live(self, dream: Dream) -> list[Trajectory]:
+        """Live through one dream; empty where no scene of it stands.
+
+        A failure that a recovery is known for is followed by it at once. One that leaves the robot in no condition for
+        it, with something in its hand, say, begins again with the recovery first, which only a resettable world allows.
+        Failed attempts are kept: they tell a classifier where its boundary lies.
+        """
+        for again in range(REDRAWN):
+            task = self.task(dream, again)
+            simulator = self.embodiment.simulate(task)
+            if simulator.reset(task.initial):
+                break
+        else:
+            return []
+        if dream.attempt:
+            result = plan_and_execute(simulator, self.model, task.goal, ExecuteSettings(max_failures=1))
+            return [Trajectory(result.transitions, task.goal, result.success, dream.source)]
+        # The newest first: the older ones are planned for.
+        wanted = [self._recovery(p, task.initial) for p in reversed(dream.placements) if p.when == "before"]
+        left = list(wanted)
+
+        def react(failed: GroundSkill, state: State) -> GroundSkill | None:
+            for pair in left:
+                ground, failure = pair
+                if failure.skill == failed.name and ground.objects[1] in failed.objects:
+                    left.remove(pair)
+                    return ground
+            return None
+
+        settings = ExecuteSettings(max_failures=1 + len(wanted))
+        result = plan_and_execute(simulator, self.model, task.goal, settings, reaction=react)
+        found = [Trajectory(result.transitions, task.goal, result.success, dream.source)]
+        done = {(t.skill, t.objects) for t in result.transitions if t.succeeded}
+        missed = [g for g, _ in wanted if (g.name, g.objects) not in done]
+        if not result.success and missed:
+            found.append(self._recovered_first(dream, task, missed))
+        return found
+
+    def _recovered_first(self, dream: Dream, task: Task, recoveries: Sequence[GroundSkill]) -> Trajectory:
+        simulator = self.embodiment.simulate(task)
+        simulator.reset(task.initial)
+        done: list[Transition] = []
+        for ground in recoveries:
+            before = simulator.perceive()
+            outcome = run_skill(simulator, ground)
+            done.append(Transition(before, ground.name, ground.objects, simulator.perceive(), outcome.done))
+        rest = plan_and_execute(simulator, self.model, task.goal, ExecuteSettings(max_failures=1))
+        solved = rest.success and all(t.succeeded for t in done)
+        return Trajectory((*done, *rest.transitions), task.goal, solved, dream.source)
+
+    def _recovery(self, p: Placement, state: State) -> tuple[GroundSkill, FailureModel]:
+        failure = self.failures[p.failure]
+        skill = self.model.skill(failure.recovery)
+        robot = state.of_type(skill.types[0])[0]
+        objects = (robot, reference_of(state, failure, p.reference), *causes_of(state, failure))
+        return skill.ground(tuple(dict.fromkeys(objects))), failure
+
+
+def reference_of(state: State, failure: FailureModel, number: int) -> Object:
+    """The so manieth object that the failure could be about. Raises TrainingError."""
+    there = sorted((o for o in state.of_type(failure.relevant) if o not in failure.causes), key=_by_name)
+    if number >= len(there):
+        raise TrainingError(
+            f"a scene to dream in has {len(there)} objects of type {failure.relevant.name}, {number + 1} are needed",
+            "let the domain's free() draw as many as it is asked for",
+        )
+    return there[number]
+
+
+def causes_of(state: State, failure: FailureModel) -> tuple[Object, ...]:
+    """The causes of a failure in a scene: by name, else others of their type. Raises TrainingError."""
+    found: list[Object] = []
+    for cause in failure.causes:
+        others = [o for o in sorted(state.of_type(cause.type), key=_by_name) if o not in found]
+        if not others:
+            raise TrainingError(
+                f"a scene to dream in has no {cause.type.name} that could stand in the way",
+                "let the domain's free() draw as many objects of each type as it is asked for",
+            )
+        found.append(cause if cause in others else others[0])
+    return tuple(found)
+
+
+def _by_name(obj: Object) -> tuple[int, str]:
+    """b2 before b10."""
+    return len(obj.name), obj.name
+
+
+def tally(trajectories: Sequence[Trajectory]) -> dict[str, dict[str, int]]:
+    """By source: what was dreamed, and solved."""
+    counts: dict[str, dict[str, int]] = {}
+    for t in trajectories:
+        row = counts.setdefault(t.source, {"dreamed": 0, "solved": 0})
+        row["dreamed"] += 1
+        row["solved"] += t.solved
+    return counts
