@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError, RenderError, UnknownNameError
-from resync_robot.core.options import MOST_EPISODES, MOST_WORKERS, check_range, check_seeds
+from resync_robot.core.options import MOST_EPISODES, MOST_STEPS, MOST_WORKERS, check_range, check_seeds
 from resync_robot.evaluation_report import EPISODE, EpisodeRow, count_once, report, table
 from resync_robot.given import Given, Several
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from resync_robot.core.rig import Rig
     from resync_robot.core.skill import GroundSkill
     from resync_robot.core.symbols import Atoms
-    from resync_robot.core.task import Domain
+    from resync_robot.core.task import Domain, Task
     from resync_robot.core.world import World
     from resync_robot.doubt import DoubtingAbstraction
     from resync_robot.planning.execute import Listener, Model, Result
@@ -70,6 +70,9 @@ class EvaluateConfig:
     physics: Literal["shipped", "reference"] = "shipped"
     """reference: contacts solved much more finely, at over ten times the price: the yardstick of the shipped ones."""
 
+    horizon: Given[int] = None
+    """Control steps after which an episode is given up. Default: no such limit."""
+
     rig: Given[Path] = None
     """The robot and cameras to simulate, a TOML file. Default: the rig that the simulation assumes."""
 
@@ -110,7 +113,7 @@ def evaluate(config: EvaluateConfig) -> None:
     - `rows`, one for each scenario, method, library and seed: `domain`, `scenario`, `split` ("train" or "test"),
       `method`, `library` (its index), `library_hash`, `seed`, `episodes`, `successes`, `failure_reasons` (end and cause
       without arguments and numbers -> how many episodes; they and the successes add up to the episodes),
-      `recoveries_per_episode` (mean number of runs of the domain's recovery skill, needless ones included).
+      `recoveries_per_episode` (mean number of runs of the skills that stages learn, needless ones included).
     - `summary`, first one for each split and method, then one for each scenario and method, over all libraries and
       seeds: `domain`, `split`, `scenario` (null where the whole split is meant), `method`, `success_rate`, `ci95`
       ([low, high], Wilson), `n` (episodes), `recoveries_per_episode`.
@@ -129,7 +132,7 @@ def evaluate(config: EvaluateConfig) -> None:
     from resync_robot.progress import Stages, say
     from resync_robot.result_file import ResultFile
     from resync_robot.run_folder import git_hash
-    from resync_robot.sim_training.domains import find_arm_domain
+    from resync_robot.sim_training.domains import find_domain
     from resync_robot.sim_training.parallel import parallel_map
     from resync_robot.sources import evaluated_sources, in_words
 
@@ -149,7 +152,12 @@ def evaluate(config: EvaluateConfig) -> None:
             config.scenes, config.seeds, config.workers, config.json, config.rig, config.resume, config.worlds
         )
     check_range("--episodes", config.episodes, 1, MOST_EPISODES)
-    domain, rig = find_arm_domain(config.domain), load_rig(config.rig)
+    if config.horizon is not None:
+        check_range("--horizon", config.horizon, 1, MOST_STEPS)
+    domain = find_domain(config.domain)
+    if domain.embodiment is not None:
+        _check_own_robot(config)
+    rig = load_rig(config.rig) if domain.embodiment is None else None
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     seeds = count_once("seed", config.seeds)
     # By content: the same library under two names is one.
@@ -162,9 +170,11 @@ def evaluate(config: EvaluateConfig) -> None:
     )
     paths = [by_hash[content] for content in hashes]
     libraries = [found[path] for path in paths]
-    perception, skills, note = evaluated_sources(
-        config.perception, config.skills, domain, dict(zip(paths, libraries, strict=True))
-    )
+    perception, skills, note = "oracle", "state", ""
+    if domain.embodiment is None:
+        perception, skills, note = evaluated_sources(
+            config.perception, config.skills, domain, dict(zip(paths, libraries, strict=True))
+        )
     if not methods or not scenarios:
         raise ConfigError(f"--{'scenarios' if methods else 'methods'} names none", "name one, or leave it out")
     jobs = [
@@ -189,14 +199,15 @@ def evaluate(config: EvaluateConfig) -> None:
             "skills": skills,
             "worlds": config.worlds,
             "physics": physics,
-            "rig": rig.hash,
+            "rig": rig.hash if rig is not None else "",
+            **({"horizon": config.horizon} if config.horizon is not None else {}),
         },
         more={"seeds": list(seeds), "episodes": config.episodes},
         inputs=[config.rig],
         report=lambda rows: report(rows, domain, hashes),
         parse=_parse,
     )
-    drawn = (config.worlds, physics == "reference")
+    drawn = (config.worlds, physics == "reference", config.horizon)
     context = partial(_context, domain.spec, tuple(map(str, paths)), perception, skills, *drawn, rig)
     # Written before the table, so that it is kept where nobody reads that.
     with file.open(config.resume), _naming_the_way_without_pictures():
@@ -213,6 +224,20 @@ def evaluate(config: EvaluateConfig) -> None:
                 wins, count = sum(r.success for r in file.done.values()), len(file.done)
                 progress(count / len(jobs), f"{wins} of {count} episodes reached their goal")
     say(table(file.found, methods, scenarios, in_words(domain, perception, skills)))
+
+
+def _check_own_robot(config: EvaluateConfig) -> None:
+    """What a domain with a robot of its own has no use for. Raises ConfigError."""
+    for option, given in (
+        ("--rig", config.rig is not None),
+        ("--perception camera", config.perception == "camera"),
+        ("--skills camera", config.skills == "camera"),
+        (f"--worlds {config.worlds}", config.worlds not in ("usual", "unseen")),
+        (f"--physics {config.physics}", config.physics != "shipped"),
+    ):
+        if given:
+            what = f"{option} is for domains of the arm, and this one has a robot of its own"
+            raise ConfigError(what, "leave it out")
 
 
 @contextmanager
@@ -257,7 +282,7 @@ class _Method(Protocol):
 @dataclass(frozen=True)
 class _Context:
     domain: Domain
-    rig: Rig
+    rig: Rig | None
     perception: str
     worlds: str
     solver: Solver
@@ -266,36 +291,55 @@ class _Context:
 
 
 def _context(
-    domain_name: str, paths: tuple[str, ...], perception: str, skills: str, worlds: str, reference: bool, rig: Rig
+    domain_name: str,
+    paths: tuple[str, ...],
+    perception: str,
+    skills: str,
+    worlds: str,
+    reference: bool,
+    horizon: int | None,
+    rig: Rig | None,
 ) -> _Context:
     from resync_robot.baselines.human_sequence import run_human_sequence
-    from resync_robot.baselines.recovery_chaining import RecoveryChaining
+    from resync_robot.baselines.recovery_chaining import chaining
     from resync_robot.core.library import load_library
     from resync_robot.doubt import doubting
-    from resync_robot.knowledge import camera_recovery, initial_model, learned_model, model_with_recovery
-    from resync_robot.planning.execute import plan_and_execute
+    from resync_robot.knowledge import camera_recovery, initial_model, learned_model
+    from resync_robot.planning.execute import ExecuteSettings, plan_and_execute
     from resync_robot.sim_training.domains import find_domain
     from resync_robot.sim_training.solver import REFERENCE, SHIPPED
 
     domain = find_domain(domain_name)
-    initial = doubting(initial_model(domain, rig))
+    initial, settings = doubting(initial_model(domain, rig)), ExecuteSettings(horizon=horizon)
     methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]] = {}
     for i, path in enumerate(paths):
         library = load_library(Path(path))
         # First, for it says what a library lacks.
-        recovery = camera_recovery(domain, rig, library) if skills == "camera" else None
+        recovery = camera_recovery(domain, rig, library) if skills == "camera" and rig is not None else None
         learned = doubting(learned_model(domain, rig, library, [recovery] if recovery else []))
-        methods[i, "resync"] = learned.abstraction, partial(plan_and_execute, model=learned)
-        record = library.skills[domain.recovery]
-        with_skill = doubting(model_with_recovery(domain, rig, record, recovery))
-        reaction = RecoveryChaining(with_skill.skill(domain.recovery), record)
+        methods[i, "resync"] = learned.abstraction, partial(plan_and_execute, model=learned, settings=settings)
+        with_skill = doubting(replace(initial, skills=learned.skills))
+        reaction = chaining(domain, library, learned.skills)
         given = initial.abstraction
-        methods[i, "rc"] = given, partial(plan_and_execute, model=with_skill, reaction=reaction)
-        methods[i, "initial"] = given, partial(plan_and_execute, model=initial)
+        methods[i, "rc"] = given, partial(plan_and_execute, model=with_skill, settings=settings, reaction=reaction)
+        methods[i, "initial"] = given, partial(plan_and_execute, model=initial, settings=settings)
         if domain.expert is not None:
             methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
     solver = REFERENCE if reference else SHIPPED
     return _Context(domain, rig, perception, worlds, solver, initial, methods)
+
+
+def _open(context: _Context, task: Task) -> tuple[World, bool]:
+    """The world of a task, and whether it stands still."""
+    from resync_robot.knowledge import embodiment_of
+
+    if context.rig is not None:
+        from resync_robot.sim_training.world import SimWorld
+
+        arm = SimWorld(task, context.rig)
+        return arm, arm.settles()
+    own = embodiment_of(context.domain, None).simulate(task)
+    return own, own.reset(task.initial)
 
 
 def _run(context: _Context, job: Job) -> EpisodeRow:
@@ -303,8 +347,6 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
 
     from resync_robot.planning.execute import End, Listener, Result, begin_after
     from resync_robot.sim_training.domains import world_task
-    from resync_robot.sim_training.mine import is_at_rest
-    from resync_robot.sim_training.world import SimWorld
 
     class Notes(Listener):
         """Of an episode that ends in a fault it is all there is."""
@@ -328,10 +370,11 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
     for attempt in range(20):
         episode = job.episode + MOST_EPISODES * attempt
         task = world_task(context.domain, job.scenario, job.seed, episode, context.worlds, context.solver)
-        world = SimWorld(task, context.rig)
-        if is_at_rest(world) and begin_after(world, context.given, before, task.objects):
+        world, stands = _open(context, task)
+        if stands and begin_after(world, context.given, before, task.objects):
             break
-    if context.perception == "oracle":
+    rig = context.rig
+    if context.perception == "oracle" or rig is None:
         result = method(world, goal=task.goal, listener=notes)
         reached = result.success
     else:
@@ -340,9 +383,9 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         from resync_robot.deployed_world import DeployedWorld
         from resync_robot.hardware.base import RobotError
 
-        with open_simulated(task, context.rig) as devices:
+        with open_simulated(task, rig) as devices:
             seen = DeployedWorld(
-                devices.robot, devices.cameras, context.rig, task.objects, devices.truth, abstraction=abstraction
+                devices.robot, devices.cameras, rig, task.objects, devices.truth, abstraction=abstraction
             )
             try:
                 if begin_after(seen, context.given, before, task.objects):

@@ -100,7 +100,7 @@ def report(episodes: Sequence[EpisodeRow], domain: Domain, library_hashes: Seque
             "episodes": len(group),
             "successes": sum(e.success for e in group),
             "failure_reasons": dict(Counter(failure_reason(e.end, e.reason) for e in group if not e.success)),
-            "recoveries_per_episode": _recoveries(group, domain.recovery),
+            "recoveries_per_episode": _recoveries(group, domain),
         }
         for (scenario, method, library, seed), group in _grouped(
             episodes, lambda e: (e.scenario, e.method, e.library, e.seed)
@@ -120,7 +120,7 @@ def report(episodes: Sequence[EpisodeRow], domain: Domain, library_hashes: Seque
             "success_rate": sum(e.success for e in group) / len(group),
             "ci95": list(wilson(sum(e.success for e in group), len(group))),
             "n": len(group),
-            "recoveries_per_episode": _recoveries(group, domain.recovery),
+            "recoveries_per_episode": _recoveries(group, domain),
         }
         for of, method, scenario, group in (*by_split, *by_scenario)
     ]
@@ -176,6 +176,7 @@ def _grouped(episodes: Sequence[EpisodeRow], key: Callable[[EpisodeRow], Key]) -
     return list(groups.items())
 
 
-def _recoveries(episodes: Sequence[EpisodeRow], recovery: str) -> float:
-    """Mean number of runs of the skill `recovery`."""
-    return sum(s.split("(")[0] == recovery for e in episodes for s in e.skills_run) / len(episodes)
+def _recoveries(episodes: Sequence[EpisodeRow], domain: Domain) -> float:
+    """Mean number of runs of the skills that stages learn."""
+    recoveries = {stage.recovery for stage in domain.stages}
+    return sum(s.split("(")[0] in recoveries for e in episodes for s in e.skills_run) / len(episodes)

@@ -17,14 +17,13 @@ import numpy as np
 
 from resync_robot.core.embodiment import Embodiment
 from resync_robot.core.errors import TrainingError
-from resync_robot.core.relations import moved
 from resync_robot.core.skill import GroundSkill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Type
 from resync_robot.core.task import Domain, Task
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.learning.dataset import ATTEMPT
-from resync_robot.learning.failures import FailureModel
+from resync_robot.learning.failures import FailureModel, place_beside
 from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
 
 WHEN = ("before", "after")
@@ -147,8 +146,7 @@ class Dreamer:
             relative = before if p.when == "before" else after
             if spread:
                 relative = before + rng.uniform(0.0, BEYOND) * (after - before)
-            what, beside = self.domain.moving(cause, reference)
-            state = moved(state, what, beside, relative, rng, self.domain.relations)
+            state = place_beside(self.domain, state, cause, reference, relative, rng)
         return state
 
     def live(self, dream: Dream) -> list[Trajectory]:

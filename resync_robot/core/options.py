@@ -10,6 +10,8 @@ MOST_SEED = 2**31 - 1
 """What every simulator takes as a seed."""
 MOST_EPISODES = 1_000_000
 """Of a seed: a world that cannot be used is replaced by the one that comes so many later."""
+MOST_STEPS = 10_000_000
+"""Control steps of an episode; a day of them at 100 Hz."""
 MOST_WORKERS = 256
 
 

@@ -27,10 +27,8 @@ def report(domain: Domain, library: Library) -> str:
 
 def _stage(number: int, stage: LearnedStage) -> list[str]:
     f: Mapping[str, Any] = stage.figures
-    causes = " and ".join(stage.failure.objects)
-    lines = [
-        f"Stage {number}: {stage.failure.skill} fails in {stage.scenario} on {causes}; mended by {stage.recovery}."
-    ]
+    causes, failed = " and ".join(stage.failure.objects), stage.failure.skill
+    lines = [f"Stage {number}: {failed} fails in {stage.scenario} on {causes}; mended by {stage.recovery}."]
     if "mine" in f and "recover" in f and "check" in f:
         lines.append(
             f"  {f['mine']['failed']} of {f['mine']['tasks']} tasks failed; learned in "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from resync_robot.core.errors import LibraryError, TrainingError
 from resync_robot.core.library import RETRAIN, LearnedFailure
-from resync_robot.core.relations import between, seen
+from resync_robot.core.relations import Relation, between
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Type
 from resync_robot.core.task import Domain
@@ -182,11 +182,32 @@ class FailureModel:
 
 def _columns(domain: Domain, cause: Object, relevant: Type) -> int:
     moved, anchor = domain.moving(cause, relevant("any"))
-    return len(between(moved.type, anchor.type, domain.relations).names)
+    return len(resampling(domain, moved.type, anchor.type).names)
+
+
+def resampling(domain: Domain, moved: Type, anchor: Type) -> Relation:
+    """How states are resampled: the relation that the domain declares, else the plain relative pose.
+
+    A round thing looks the same from all sides, and the scene around it does not: what is folded away for classifiers
+    has to be kept here, or a wall that stands behind a ball would be dreamed before it.
+    """
+    if (moved, anchor) in domain.relations or (anchor, moved) in domain.relations:
+        return between(moved, anchor, domain.relations)
+    return between(replace(moved, symmetry=1), replace(anchor, symmetry=1))
 
 
 def fit_beside(domain: Domain, states: Sequence[State], cause: Object, relevant: Object) -> PairGaussian:
     """Where the cause of a failure lies beside what it is about, over these states. Raises TrainingError."""
     moved, anchor = domain.moving(cause, relevant)
-    relation = between(moved.type, anchor.type, domain.relations)
-    return PairGaussian.fit([seen(s, moved, anchor, domain.relations) for s in states], relation.resolution)
+    relation = resampling(domain, moved.type, anchor.type)
+    rows = np.stack([np.concatenate(relation.see(s[moved][None], s[anchor][None])) for s in states])
+    return PairGaussian.fit(list(rows), relation.resolution)
+
+
+def place_beside(
+    domain: Domain, state: State, cause: Object, relevant: Object, relative: np.ndarray, rng: np.random.Generator
+) -> State:
+    """The state with the cause of a failure beside what it is about, in the columns of `fit_beside`."""
+    moved, anchor = domain.moving(cause, relevant)
+    row = resampling(domain, moved.type, anchor.type).place(state[moved], state[anchor], relative, rng)
+    return state.with_features(moved, **dict(zip(moved.type.features, row.tolist(), strict=True)))

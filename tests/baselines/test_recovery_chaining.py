@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from resync_robot.baselines.recovery_chaining import RecoveryChaining
+from resync_robot.baselines.recovery_chaining import RecoveryChaining, detector_of
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import Record
 from resync_robot.core.rig import load_rig
@@ -18,13 +18,14 @@ from tests import scenes
 from tests.libraries import DOMAIN, recovery_record
 from tests.scenes import B0, B1, THE_BOX, R
 
-MODEL = model_with_recovery(find_domain(DOMAIN), load_rig(), recovery_record())
+CORNERED = find_domain(DOMAIN)
+MODEL = model_with_recovery(CORNERED, load_rig(), recovery_record())
 STATE = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).initial
 PICK, INSERT = MODEL.skill("Pick").ground((R, B0)), MODEL.skill("Insert").ground((R, B1, B0))
 
 
 def react(record: Record, failed: GroundSkill) -> GroundSkill | None:
-    return RecoveryChaining(MODEL.skill("Recover"), record)(failed, STATE)
+    return RecoveryChaining(((MODEL.skill("Recover"), detector_of(CORNERED, record)),))(failed, STATE)
 
 
 @pytest.mark.parametrize("failed", [PICK, INSERT])
@@ -60,4 +61,4 @@ def test_the_detector_is_asked_about_each_block_by_itself() -> None:
 def test_a_record_without_a_detector_is_refused() -> None:
     record = recovery_record()
     with pytest.raises(LibraryError):
-        RecoveryChaining(MODEL.skill("Recover"), Record({"policy": record.meta["policy"]}, record.tensors))
+        detector_of(CORNERED, Record({"policy": record.meta["policy"]}, record.tensors))
