@@ -86,8 +86,11 @@ class Dreamer:
     usual: Mapping[Type, int]
 
     def references(self, failure: FailureModel) -> int:
-        """Objects that its causes are put beside: those of a training scene, and one that has no part in the goal."""
-        return self.usual.get(failure.relevant, 0) + 1
+        """Objects that its causes are put beside: those of a training scene, and one more, which has no part in the
+        goal; where a scene can have so many."""
+        wanted = self.usual.get(failure.relevant, 0) + 1
+        scene = self._free({**self.usual, failure.relevant: wanted}, np.random.default_rng(0), 0)
+        return min(wanted, len(_others(scene.initial, failure)))
 
     def combinations(self) -> list[tuple[Placement, ...]]:
         """Every failure absent, or before or after its recovery beside each reference; all absent left out."""
@@ -114,15 +117,19 @@ class Dreamer:
         rng = np.random.default_rng([dream.seed, again])
         if dream.attempt and self.domain.practice is not None:
             return self.domain.practice(rng, dream.seed)
-        if self.domain.free is None:
-            raise TrainingError(
-                f"the domain {self.domain.name} has no scene to dream in", "give it free=, see docs/own-domain.md"
-            )
-        task = self.domain.free(rng, dream.seed, self._counts(dream, rng))
+        task = self._free(self._counts(dream, rng), rng, dream.seed)
         state = task.initial
         for p in dream.placements:
             state = self._placed(state, self.failures[p.failure], p, dream.attempt, rng)
         return replace(task, initial=state)
+
+    def _free(self, counts: Mapping[Type, int], rng: np.random.Generator, seed: int) -> Task:
+        """A scene in which nothing obstructs anything."""
+        if self.domain.free is None:
+            raise TrainingError(
+                f"the domain {self.domain.name} has no scene to dream in", "give it free=, see docs/own-domain.md"
+            )
+        return self.domain.free(rng, seed, counts)
 
     def _counts(self, dream: Dream, rng: np.random.Generator) -> dict[Type, int]:
         """How many objects of each type a dream has at least. Causes that take no part are sometimes there, unplaced:
@@ -209,13 +216,18 @@ class Dreamer:
 
 def reference_of(state: State, failure: FailureModel, number: int) -> Object:
     """The so manieth object that the failure could be about. Raises TrainingError."""
-    there = sorted((o for o in state.of_type(failure.relevant) if o not in failure.causes), key=_by_name)
+    there = _others(state, failure)
     if number >= len(there):
         raise TrainingError(
             f"a scene to dream in has {len(there)} objects of type {failure.relevant.name}, {number + 1} are needed",
             "let the domain's free() draw as many as it is asked for",
         )
     return there[number]
+
+
+def _others(state: State, failure: FailureModel) -> list[Object]:
+    """All that the failure could be about, by name."""
+    return sorted((o for o in state.of_type(failure.relevant) if o not in failure.causes), key=_by_name)
 
 
 def causes_of(state: State, failure: FailureModel) -> tuple[Object, ...]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from resync_robot.core.damage import check_shape
 from resync_robot.core.symbols import Atoms, Operator, Predicate, Type
 from resync_robot.learning.dataset import Dataset
-from resync_robot.learning.effects import Attempts, Candidate, Effect, Slots, affected, slots
+from resync_robot.learning.effects import Attempts, Candidate, Effect, Slots, affected, attempted, slots
 
 USUAL = 0.5
 """A skill has an effect on a known predicate where more than this share of its successes change the atoms so."""
@@ -44,8 +44,8 @@ def candidate_from_json(
     """
     check_shape(data, {"effects": dict})
 
-    def where(skill: Any, chosen: Any) -> Slots:
-        ways = slots(types, signatures.get(skill, ()))
+    def where(skill: Any, chosen: Any, ways_of: Callable[..., list[Slots]] = slots) -> Slots:
+        ways = ways_of(types, signatures.get(skill, ()))
         if not isinstance(chosen, list) or tuple(chosen) not in ways:
             raise ValueError(f"{chosen} are no parameters of {skill} for the arguments of the predicate")
         return tuple(chosen)
@@ -61,7 +61,7 @@ def candidate_from_json(
         return Candidate(types, tuple(effects))
     check_shape(data, {"attempts": {"skill": str, "slots": list}})
     skill = data["attempts"]["skill"]
-    return Candidate(types, tuple(effects), Attempts(skill, where(skill, data["attempts"]["slots"])))
+    return Candidate(types, tuple(effects), Attempts(skill, where(skill, data["attempts"]["slots"], attempted)))
 
 
 def stated_effects(predicate: Predicate, operators: Iterable[Operator]) -> list[Effect]:

@@ -36,15 +36,11 @@ class Effect:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Attempts:
-    """A skill's attempts as labels: the object in this slot allows it (success) or does not (failure)."""
+    """A skill's attempts as labels: the objects in these slots allow it (success) or do not (failure). Of a type that
+    the skill does not mention all objects allow it, or at least one of them does not."""
 
     skill: str
     slots: Slots
-
-    @property
-    def parameter(self) -> int:
-        """The first parameter of the skill that the label is about."""
-        return next(s for s in self.slots if s is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +127,13 @@ def affordances(recovery: str, skills: Sequence[str], parameters: Mapping[str, S
         for types in signatures(parameters[recovery])
         for gained in slots(types, parameters[recovery])
         for skill in skills
-        for needed in slots(types, parameters[skill])
+        for needed in attempted(types, parameters[skill])
     ]
+
+
+def attempted(types: Sequence[Type], parameters: Sequence[Type]) -> list[Slots]:
+    """Which objects a skill's attempts label: those that it names, else all of these types."""
+    return slots(types, parameters) or [(None,) * len(types)]
 
 
 def affected(step: Step, where: Slots, types: Sequence[Type], objects: Sequence[Object]) -> list[tuple[Object, ...]]:

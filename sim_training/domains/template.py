@@ -1,4 +1,4 @@
-"""my-domain: a robot drives to a flag, and a crate is in its way.
+"""my-domain: a robot drives to a flag, and a crate stands on it.
 
 A small complete domain to start from. Change one part after the other, and run now and then:
 
@@ -138,12 +138,11 @@ class GoTo:
         return way / far * min(GENTLE, far * RATE_HZ)
 
 
-def draw(rng: np.random.Generator, seed: int, crates_between: int, crates_aside: int = 0) -> Task:
-    """The robot on the left, the flag on the right, crates between them or where they are in nobody's way."""
-    robot, flag = np.array([0.3, rng.uniform(0.8, 1.2)]), np.array([1.7, rng.uniform(0.8, 1.2)])
-    places = [robot + share * (flag - robot) for share in (0.4, 0.7)[:crates_between]]
+def draw(rng: np.random.Generator, seed: int, covered: bool, crates_aside: int = 0) -> Task:
+    """The robot on the left, the flag on the right, a crate on it if it is covered, others in nobody's way."""
+    robot, flag = np.array([0.3, rng.uniform(0.8, 1.2)]), np.array([1.4, rng.uniform(0.8, 1.2)])
     features = {ROBOT("r"): [*robot, 0.0, rng.uniform(0.2, 0.24)], FLAG("flag"): [*flag, 0.0]}
-    places = [place + [0.0, rng.uniform(-0.06, 0.06)] for place in places]
+    places = [flag + rng.uniform(-0.04, 0.04, 2)] if covered else []
     places += [np.array([rng.uniform(0.5, 1.5), y]) for y in (0.2, 1.8)[:crates_aside]]
     features |= {CRATE(f"c{i}"): [*place, 0.0, rng.uniform(0.2, 0.26)] for i, place in enumerate(places)}
     state = State({o: np.array(values) for o, values in features.items()})
@@ -152,27 +151,30 @@ def draw(rng: np.random.Generator, seed: int, crates_between: int, crates_aside:
 
 def free(rng: np.random.Generator, seed: int, counts: Mapping[Type, int]) -> Task:
     """Nothing is in the way."""
-    return draw(rng, seed, 0, min(counts.get(CRATE, 0), 2))
+    return draw(rng, seed, False, min(counts.get(CRATE, 0), 2))
 
 
 GOAL = frozenset({REACHED(ROBOT("r"), FLAG("flag"))})
 SCENARIOS = (
     Scenario(
         "crate",
-        "training: a crate is in the way",
+        "training: a crate stands on the flag",
         lambda _domain: GOAL,
-        lambda rng, seed: draw(rng, seed, 1),
+        lambda rng, seed: draw(rng, seed, True),
         training=True,
     ),
     Scenario(
         "clear",
         "test: a crate is aside",
         lambda _domain: GOAL,
-        lambda rng, seed: draw(rng, seed, 0, 1),
+        lambda rng, seed: draw(rng, seed, False, 1),
         after_stage=0,
     ),
     Scenario(
-        "two-crates", "test: two crates are in the way", lambda _domain: GOAL, lambda rng, seed: draw(rng, seed, 2)
+        "two-crates",
+        "test: a crate stands on the flag, another one aside",
+        lambda _domain: GOAL,
+        lambda rng, seed: draw(rng, seed, True, 1),
     ),
 )
 
