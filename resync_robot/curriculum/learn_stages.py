@@ -32,7 +32,7 @@ from resync_robot.run_folder import RunFolder
 STEPS = ("mine", "recover", "check", "dream", "discover", "save")
 TRAINING_SEEDS = 1_000_000
 """Each training seed owns this many world seeds from seed * TRAINING_SEEDS on; evaluation draws from elsewhere."""
-STAGE_SEEDS, STEP_SEEDS = 100_000, 20_000
+STAGE_SEEDS, STEP_SEEDS = 100_000, 15_000
 """Of these each stage, and each of its steps, owns so many."""
 Watch = Callable[[str], Any]
 """A step's name -> a context that yields its `Tell`, for the progress bars."""
