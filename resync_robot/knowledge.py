@@ -210,7 +210,6 @@ def make_library(
         stages=(*(known.stages if known else ()), stage),
         provenance=provenance,
         execution={
-            "affordances": concepts.report.get("affordances_of", {}),
             "variants": concepts.report.get("variants", {}),
             "experience": concepts.report.get("experience", {}),
         },

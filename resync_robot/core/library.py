@@ -9,7 +9,7 @@
       skills/NAME.json      signature, settings;              NAME.safetensors  policy and terminal weights
       policies/NAME/        the skill's camera policy, where one was trained: a LeRobot checkpoint, as LeRobot wrote it,
                             and its model card, README.md
-      execution.json        the learned atoms that each skill relies on, other names of skills, how practice went
+      execution.json        other names of skills, and how practice went
       provenance.json       git hash, seeds, versions of the run that learned the last stage
 
 Loading checks the version, every file's hash and every record; nothing is unpickled.
