@@ -174,22 +174,23 @@ class Dreamer:
             result = plan_and_execute(simulator, self.model, task.goal, ExecuteSettings(max_failures=1))
             return [Trajectory(result.transitions, task.goal, result.success, dream.source)]
         # The newest first: the older ones are planned for.
-        wanted = [self._recovery(p, task.initial) for p in reversed(dream.placements) if p.when == "before"]
+        wanted = [p for p in reversed(dream.placements) if p.when == "before"]
         left = list(wanted)
 
         def react(failed: GroundSkill, state: State) -> GroundSkill | None:
-            for pair in left:
-                ground, failure = pair
-                if failure.skill == failed.name and ground.objects[1] in failed.objects:
-                    left.remove(pair)
-                    return ground
+            for p in left:
+                failure = self.failures[p.failure]
+                about = reference_of(state, failure, p.reference)
+                if failure.skill == failed.name and (failure.argument is None or about in failed.objects):
+                    left.remove(p)
+                    return self._recovery(p, state, failed.objects)
             return None
 
         settings = ExecuteSettings(max_failures=1 + len(wanted))
         result = plan_and_execute(simulator, self.model, task.goal, settings, reaction=react)
         found = [Trajectory(result.transitions, task.goal, result.success, dream.source)]
         done = {(t.skill, t.objects) for t in result.transitions if t.succeeded}
-        missed = [g for g, _ in wanted if (g.name, g.objects) not in done]
+        missed = [g for p in wanted if (g := self._recovery(p, task.initial)) and (g.name, g.objects) not in done]
         if not result.success and missed:
             found.append(self._recovered_first(dream, task, missed))
         return found
@@ -206,12 +207,21 @@ class Dreamer:
         solved = rest.success and all(t.succeeded for t in done)
         return Trajectory((*done, *rest.transitions), task.goal, solved, dream.source)
 
-    def _recovery(self, p: Placement, state: State) -> tuple[GroundSkill, FailureModel]:
+    def _recovery(self, p: Placement, state: State, failed: Sequence[Object] = ()) -> GroundSkill:
+        """The recovery for a placement.
+
+        Args:
+            failed: the objects of the skill that failed, for what else the recovery takes.
+        """
         failure = self.failures[p.failure]
         skill = self.model.skill(failure.recovery)
         robot = state.of_type(skill.types[0])[0]
-        objects = (robot, reference_of(state, failure, p.reference), *causes_of(state, failure))
-        return skill.ground(tuple(dict.fromkeys(objects))), failure
+        about = reference_of(state, failure, p.reference), *causes_of(state, failure)
+        objects = list(dict.fromkeys((robot, *about)))
+        for kind in skill.types[len(objects) :]:
+            others = [o for o in (*failed, *sorted(state.of_type(kind), key=_by_name)) if o.type == kind]
+            objects.append(next(o for o in others if o not in objects))
+        return skill.ground(tuple(objects))
 
 
 def reference_of(state: State, failure: FailureModel, number: int) -> Object:

@@ -15,10 +15,14 @@ from resync_robot.core.skill import GroundSkill, Outcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
+from resync_robot.learning.failures import spread_beside
 from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute
 
 LATELY = 5
 """Actions before the end of an attempt whose contacts count: what stops a skill is what it runs into last."""
+CLEARER = 0.5
+"""Share of the spread beside an argument of the failed skill, below which another object tells better where the culprit
+lies."""
 MOST_BLAMED = 0.5
 """Share of the failures in which an object has to be run into, to be blamed for them."""
 
@@ -48,20 +52,24 @@ class Explanation:
 
     Attributes:
         skill, objects: C^F and what it was applied to.
-        argument: which of these is o^R, the object that the failure is about.
+        relevant: o^R, the object that the failure is about: mostly one of these.
         culprits: o^F, the objects that were run into.
     """
 
     skill: str
     objects: tuple[Object, ...]
-    argument: int
+    relevant: Object
     culprits: tuple[Object, ...]
 
     @property
     def projected(self) -> tuple[Object, ...]:
-        """proj(x): the robot, o^R and every o^F; what the recovery sees, and the arguments that it takes."""
-        about = (self.objects[0], self.objects[self.argument], *self.culprits)
-        return tuple(dict.fromkeys(about))
+        """proj(x): the robot, o^R and every o^F; what the recovery sees."""
+        return tuple(dict.fromkeys((self.objects[0], self.relevant, *self.culprits)))
+
+    @property
+    def parameters(self) -> tuple[Object, ...]:
+        """What the recovery is applied to: what it sees, and what else the failed skill needs that it begins with."""
+        return tuple(dict.fromkeys((*self.projected, *self.objects)))
 
 
 class _LastContacts(Listener):
@@ -122,7 +130,7 @@ def mine_stage(
     )
 
 
-def explain(failures: Sequence[FailedAttempt]) -> Explanation:
+def explain(domain: Domain, failures: Sequence[FailedAttempt]) -> Explanation:
     """Who is to blame, by what the robot ran into.
 
     Raises:
@@ -138,9 +146,24 @@ def explain(failures: Sequence[FailedAttempt]) -> Explanation:
             f"no object explains why {skill} failed {len(alike)} times: it ran into {often}",
             "let the simulator's contacts() name what stops a skill",
         )
-    others = [i for i in range(1, len(objects)) if objects[i] not in blamed] or list(range(1, len(objects)))
-    nearest = min(others, key=lambda i: np.mean([_apart(f.state, objects[i], blamed[0]) for f in alike]), default=0)
-    return Explanation(skill, objects, nearest, tuple(blamed))
+    return Explanation(skill, objects, _relevant(domain, alike, objects, blamed), tuple(blamed))
+
+
+def _relevant(
+    domain: Domain, failures: Sequence[FailedAttempt], objects: Sequence[Object], blamed: Sequence[Object]
+) -> Object:
+    """What the failure is about: the argument of the failed skill that is nearest to the culprit, or another object
+    that tells much better where the culprit lies when the skill fails, as the doorway does in which a stone lies."""
+    arguments = [o for o in objects[1:] if o not in blamed] or list(objects[1:]) or [objects[0]]
+    nearest = min(arguments, key=lambda o: np.mean([_apart(f.state, o, blamed[0]) for f in failures]))
+    states = [f.before for f in failures]
+    everywhere = [o for o in states[0].objects if all(o in s for s in states)]
+    others = [o for o in everywhere if o.type.pose is not None and o not in (*objects, *blamed)]
+    if nearest.type.pose is None or not others:
+        return nearest
+    best = min(others, key=lambda o: (spread_beside(domain, states, blamed[0], o), o.name))
+    known = spread_beside(domain, states, blamed[0], nearest)
+    return best if spread_beside(domain, states, blamed[0], best) < CLEARER * known else nearest
 
 
 def _apart(state: State, a: Object, b: Object) -> float:

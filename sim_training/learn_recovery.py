@@ -13,7 +13,6 @@ import torch
 from jaxtyping import Bool, Float
 
 from resync_robot.core.embodiment import Embodiment, Stage
-from resync_robot.core.errors import TrainingError
 from resync_robot.core.symbols import Type
 from resync_robot.core.task import Domain
 from resync_robot.learning.learned_recovery import LearnedRecovery
@@ -152,12 +151,13 @@ def learn_recovery(
     known, verdicts = model.remembered()
     x, y = np.concatenate([known, more]), np.concatenate([verdicts, later])
     done, accuracy = train_terminal(torch.as_tensor(x, dtype=torch.float32), torch.as_tensor(y).long(), seed)
-    explanation, types = problem.explanation, tuple(o.type for o in problem.view.objects)
+    explanation = problem.explanation
     recovery = LearnedRecovery(
         name=problem.stage.recovery,
-        types=types,
+        types=tuple(o.type for o in explanation.parameters),
+        sees=len(problem.view.objects),
         failed_skill=explanation.skill,
-        arguments=tuple(_place(problem.view.objects, o) for o in explanation.objects),
+        arguments=tuple(explanation.parameters.index(o) for o in explanation.objects),
         horizon=problem.stage.horizon,
         policy=net,
         done=done,
@@ -195,17 +195,3 @@ def roll_out(
                 action = net.act(torch.as_tensor(seen, dtype=torch.float32)[None])[0].clamp(-1, 1).double().numpy()
             simulator.act(middle + half * action, 1.0 / problem.embodiment.rate_hz)
     return np.stack(features), np.array(labels)
-
-
-def _place(objects: Sequence[Any], obj: Any) -> int:
-    """Of an argument of the failed skill among the recovery's own; what the recovery is not about has no place there.
-
-    Raises:
-        TrainingError: the failed skill has such an argument.
-    """
-    if obj not in objects:
-        raise TrainingError(
-            f"the failed skill takes {obj}, which the recovery does not see",
-            "let the failure be about it, or give the skill fewer arguments",
-        )
-    return list(objects).index(obj)

@@ -79,10 +79,10 @@ def detector_of(domain: Domain, record: Record) -> Detector:
     if domain.embodiment is None:
         failed = _terminal(record, "failed")
         return lambda state, objects: float(failed.probability(_of_corner(state, objects)))
-    done = _terminal(record, "terminal")
+    done, sees = _terminal(record, "terminal"), int(record.meta["sees"])
 
     def detects(state: State, objects: tuple[Object, ...]) -> float:
-        seen = torch.as_tensor(RelationalView(objects, domain.relations)(state), dtype=torch.float32)[None]
+        seen = torch.as_tensor(RelationalView(objects[:sees], domain.relations)(state), dtype=torch.float32)[None]
         return 1.0 - float(done.probability(seen))
 
     return detects

@@ -54,17 +54,19 @@ class LearnedFailure:
 
     Attributes:
         skill: the skill that failed (C^F).
-        argument: which of its arguments the failure is about (o^R).
+        argument: which of its arguments the failure is about (o^R); None where that is another object.
         objects: those that caused it (o^F), one or more: name -> name of the type.
-        before, after: for each of them, by its name, the pair Gaussian of where o^R lies beside it when the skill
-            fails, and after the recovery; as plain data.
+        before, after: for each of them, by its name, the pair Gaussian of how it and o^R lie beside each other when the
+            skill fails, and after the recovery; as plain data.
+        relevant: name of the type of o^R; empty in libraries of earlier versions, where it is that of the argument.
     """
 
     skill: str
-    argument: int
+    argument: int | None
     objects: Mapping[str, str]
     before: Mapping[str, Any]
     after: Mapping[str, Any]
+    relevant: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +87,7 @@ class LearnedStage:
 STAGE: Shape = {
     "recovery": str,
     "scenario": str,
-    "failure": {"skill": str, "argument": int, "objects": dict, "before": dict, "after": dict},
+    "failure": {"skill": str, "argument": (int, type(None)), "objects": dict, "before": dict, "after": dict},
     "figures": dict,
 }
 """The fields of stages/1-NAME.json."""
@@ -253,7 +255,8 @@ def _stages(folder: Path, contents: Mapping[str, bytes]) -> tuple[LearnedStage, 
 
 def _stage(saved: Any, recovery: str) -> LearnedStage:
     check_shape(saved, STAGE)
-    failure = LearnedFailure(**{f.name: saved["failure"][f.name] for f in fields(LearnedFailure)})
+    told = saved["failure"]
+    failure = LearnedFailure(**{f.name: told[f.name] for f in fields(LearnedFailure) if f.name in told})
     if saved["recovery"] != recovery:
         raise ValueError(f"it is about {saved['recovery']}")
     if not failure.objects or not set(failure.objects) == set(failure.before) == set(failure.after):

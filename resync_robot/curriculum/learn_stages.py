@@ -192,8 +192,8 @@ class _Stage:
         newest = FailureModel(
             recovery=stage.recovery,
             skill=about.skill,
-            argument=about.argument,
-            relevant=about.objects[about.argument].type,
+            argument=about.objects.index(about.relevant) if about.relevant in about.objects else None,
+            relevant=about.relevant.type,
             causes=about.culprits,
             before=mined.before,
             after=after,
@@ -204,7 +204,7 @@ class _Stage:
         with self._step("dream") as tell:
             seeds, count = c.seeds(number, "dream"), budgets.dreams_of(number)
             dreams = dream(able, domain, failures, scenarios, folder, seeds, count, budgets.attempts, workers, tell)
-        types = tuple(o.type for o in about.projected)
+        types = tuple(o.type for o in about.parameters)
         own = StageData(stage.recovery, types, about.skill, dreams)
         if folder.figures("save") and (folder.library / "library.json").exists():
             return load_library(folder.library), own

@@ -27,7 +27,7 @@ FAILURES = "failures.json"
 MINED: Shape = {
     "skill": str,
     "objects": [str],
-    "argument": int,
+    "relevant": str,
     "causes": [str],
     "states": [{"seed": int, "before": dict, "failed": dict}],
 }
@@ -87,14 +87,14 @@ def mine(
             if failed is not None and len(found) < count:
                 found.append((seed, failed))
             tell(len(found) / count, f"{len(found)} failures in {tried} tasks")
-    explanation = explain([f for _, f in found])
+    explanation = explain(domain, [f for _, f in found])
     alike = [(s, f) for s, f in found if f.skill.name == explanation.skill and f.skill.objects == explanation.objects]
     write_json(
         path,
         {
             "skill": explanation.skill,
             "objects": [o.name for o in explanation.objects],
-            "argument": explanation.argument,
+            "relevant": explanation.relevant.name,
             "causes": [o.name for o in explanation.culprits],
             "states": [{"seed": s, "before": f.before.to_json(), "failed": f.state.to_json()} for s, f in alike],
         },
@@ -117,9 +117,9 @@ def _read(path: Path, domain: Domain, stage: Stage) -> Mined:
         explanation = Explanation(
             saved["skill"],
             tuple(named[n] for n in saved["objects"]),
-            saved["argument"],
+            named[saved["relevant"]],
             tuple(named[n] for n in saved["causes"]),
         )
-        about = explanation.objects[explanation.argument]
+        about = explanation.relevant
         before = {cause: fit_beside(domain, befores, cause, about) for cause in explanation.culprits}
     return Mined(explanation, before, starts)

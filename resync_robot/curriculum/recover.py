@@ -87,7 +87,7 @@ def _check(context: Context, job: _Check) -> tuple[bool, State | None] | None:
     if not simulator.reset(task.initial):
         return None
     about, model = job.explanation, context.model
-    done = run_skill(simulator, model.skill(job.stage.recovery).ground(about.projected)).done
+    done = run_skill(simulator, model.skill(job.stage.recovery).ground(about.parameters)).done
     left = simulator.perceive()
     operator = next(o for o in model.operators if o.name == about.skill)
     judge = Judge(
@@ -140,5 +140,4 @@ def check(
         check_shape(saved, CHECKED)
         types = {t.name: t for t in context.domain.types}
         left = [State.from_json(s, types) for s in saved["states"]]
-        object_about = about.objects[about.argument]
-        return {cause: fit_beside(context.domain, left, cause, object_about) for cause in about.culprits}
+        return {cause: fit_beside(context.domain, left, cause, about.relevant) for cause in about.culprits}

@@ -128,8 +128,8 @@ class FailureModel:
     Attributes:
         recovery: the skill that mends it.
         skill: the skill that failed (C^F).
-        argument: which of its arguments the failure is about (o^R).
-        relevant: the type of that argument.
+        argument: which of its arguments the failure is about (o^R); None where that is another object.
+        relevant: the type of o^R.
         causes: o^F.
         before, after: for each cause the Gaussian of how the two lie beside each other when the skill fails, and once
             the recovery is done; in the columns of the relation of what `Domain.moving` moves to its anchor.
@@ -137,7 +137,7 @@ class FailureModel:
 
     recovery: str
     skill: str
-    argument: int
+    argument: int | None
     relevant: Type
     causes: tuple[Object, ...]
     before: Mapping[Object, PairGaussian]
@@ -148,6 +148,7 @@ class FailureModel:
         return LearnedFailure(
             skill=self.skill,
             argument=self.argument,
+            relevant=self.relevant.name,
             objects={o.name: o.type.name for o in self.causes},
             before={o.name: g.to_json() for o, g in self.before.items()},
             after={o.name: g.to_json() for o, g in self.after.items()},
@@ -158,8 +159,7 @@ class FailureModel:
         """The inverse. Raises LibraryError where it does not fit the domain."""
         try:
             types = {t.name: t for t in domain.types}
-            operator = next(o for o in domain.operators if o.name == learned.skill)
-            relevant = operator.parameters[learned.argument].type
+            relevant = types[learned.relevant] if learned.relevant else _argument(domain, learned)
             causes = tuple(types[kind](name) for name, kind in learned.objects.items())
             sizes = {o: _columns(domain, o, relevant) for o in causes}
             before, after = (
@@ -178,6 +178,12 @@ class FailureModel:
             before=before,
             after=after,
         )
+
+
+def _argument(domain: Domain, learned: LearnedFailure) -> Type:
+    """The type of o^R in libraries that do not name it."""
+    operator = next(o for o in domain.operators if o.name == learned.skill)
+    return operator.parameters[learned.argument or 0].type
 
 
 def _columns(domain: Domain, cause: Object, relevant: Type) -> int:
@@ -200,8 +206,17 @@ def fit_beside(domain: Domain, states: Sequence[State], cause: Object, relevant:
     """Where the cause of a failure lies beside what it is about, over these states. Raises TrainingError."""
     moved, anchor = domain.moving(cause, relevant)
     relation = resampling(domain, moved.type, anchor.type)
-    rows = np.stack([np.concatenate(relation.see(s[moved][None], s[anchor][None])) for s in states])
+    rows = relation.see(np.stack([s[moved] for s in states]), np.stack([s[anchor] for s in states]))
     return PairGaussian.fit(list(rows), relation.resolution)
+
+
+def spread_beside(domain: Domain, states: Sequence[State], cause: Object, relevant: Object) -> float:
+    """How little the one tells of where the other lies: the mean standard deviation of the columns of `fit_beside`, in
+    units of their resolution."""
+    moved, anchor = domain.moving(cause, relevant)
+    relation = resampling(domain, moved.type, anchor.type)
+    rows = relation.see(np.stack([s[moved] for s in states]), np.stack([s[anchor] for s in states]))
+    return float(np.mean(rows.std(0) / np.array(relation.resolution)))
 
 
 def place_beside(

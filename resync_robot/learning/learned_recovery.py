@@ -23,6 +23,7 @@ from resync_robot.learning.terminals import Terminal
 
 FIELDS: Shape = {
     "signature": [str],
+    "sees": int,
     "failed_skill": str,
     "arguments": [int],
     "horizon": int,
@@ -40,7 +41,8 @@ class LearnedRecovery:
 
     Attributes:
         name: of the skill.
-        types: of the robot, o^R and every o^F: the skill's parameters.
+        types: of the skill's parameters: the robot, o^R, every o^F, and what else the failed skill takes.
+        sees: how many of these it sees, from the first one on.
         failed_skill: C^F, by its name.
         arguments: for each argument of the failed skill which of the recovery's own it is.
         horizon: actions after which the policy gives up.
@@ -50,6 +52,7 @@ class LearnedRecovery:
 
     name: str
     types: tuple[Type, ...]
+    sees: int
     failed_skill: str
     arguments: tuple[int, ...]
     horizon: int
@@ -63,7 +66,7 @@ class LearnedRecovery:
         def start(objects: tuple[Object, ...], first: Observation) -> Policy:
             begun = failed.start(tuple(objects[i] for i in self.arguments), first)
             longest = round(failed.time_limit_s * embodiment.rate_hz)
-            return _Run(self, RelationalView(objects, relations), begun, longest, limits)
+            return _Run(self, RelationalView(objects[: self.sees], relations), begun, longest, limits)
 
         limit = failed.time_limit_s + (self.horizon + 2) / embodiment.rate_hz
         return Skill(self.name, self.types, start, embodiment.rate_hz, limit, live_state=True)
@@ -74,6 +77,7 @@ class LearnedRecovery:
         tensors |= {f"terminal.{k}": v for k, v in self.done.to_record().tensors.items()}
         meta = {
             "signature": [t.name for t in self.types],
+            "sees": self.sees,
             "failed_skill": self.failed_skill,
             "arguments": list(self.arguments),
             "horizon": self.horizon,
@@ -97,6 +101,7 @@ class LearnedRecovery:
             return LearnedRecovery(
                 name=name,
                 types=tuple(types[t] for t in meta["signature"]),
+                sees=meta["sees"],
                 failed_skill=meta["failed_skill"],
                 arguments=tuple(meta["arguments"]),
                 horizon=meta["horizon"],

@@ -39,25 +39,25 @@ def failures(domain: Domain, model: Model) -> list[FailedAttempt]:
     return mine_stage(domain, domain.embodiment, domain.stages[0], model, 0, 40)
 
 
-def test_failures_are_explained_by_what_was_run_into(failures: list[FailedAttempt]) -> None:
-    found = explain(failures)
+def test_failures_are_explained_by_what_was_run_into(domain: Domain, failures: list[FailedAttempt]) -> None:
+    found = explain(domain, failures)
     assert (found.skill, [o.name for o in found.objects]) == ("Fetch", ["r", "p0"])
     assert [o.name for o in found.culprits] == ["door"]
     assert [o.name for o in found.projected] == ["r", "p0", "door"]
 
 
 def test_each_stage_has_its_own_culprit(domain: Domain, model: Model) -> None:
-    found = explain(mine_stage(domain, domain.embodiment, domain.stages[1], model, 0, 10))
+    found = explain(domain, mine_stage(domain, domain.embodiment, domain.stages[1], model, 0, 10))
     assert [o.name for o in found.culprits] == ["stone"]
 
 
-def test_failures_without_contact_explain_nothing(failures: list[FailedAttempt]) -> None:
+def test_failures_without_contact_explain_nothing(domain: Domain, failures: list[FailedAttempt]) -> None:
     untouched = [replace(f, run_into={}) for f in failures]
     with pytest.raises(TrainingError, match="ran into nothing at all"):
-        explain(untouched)
+        explain(domain, untouched)
     robot = [replace(f, run_into={f.skill.objects[0]: 5.0}) for f in failures]
     with pytest.raises(TrainingError, match="no object explains"):
-        explain(robot)
+        explain(domain, robot)
 
 
 def test_a_scenario_that_does_not_fail_is_an_error(domain: Domain, model: Model) -> None:
@@ -68,7 +68,7 @@ def test_a_scenario_that_does_not_fail_is_an_error(domain: Domain, model: Model)
 
 def test_the_view_is_of_the_objects_and_of_nothing_else(domain: Domain, failures: list[FailedAttempt]) -> None:
     state = failures[0].state
-    view = RelationalView(explain(failures).projected, domain.relations)
+    view = RelationalView(explain(domain, failures).projected, domain.relations)
     assert view(state).shape == (view.size,)
     pad = next(o for o in state.objects if o.type.name == "pad")
     np.testing.assert_array_equal(view(state.with_features(pad, x=9.0)), view(state))
