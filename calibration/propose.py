@@ -18,7 +18,7 @@ from resync_robot.core.errors import CalibrationError
 from resync_robot.core.kinematics import BRANCHES
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.hardware.base import SafetyError
-from resync_robot.hardware.room import Room, heights
+from resync_robot.hardware.workspace import Room, heights
 
 CANDIDATES = 1200
 PATH_STEP = 0.05

@@ -19,7 +19,7 @@ from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Window
 if TYPE_CHECKING:
     from resync_robot.core.episode import Timing
     from resync_robot.hardware.clearance import Obstacle
-    from resync_robot.hardware.room import Room
+    from resync_robot.hardware.workspace import Room
 
 SERVO_PERIOD = 0.002
 """Seconds between two setpoints: the controller's tick of 500 Hz."""

@@ -17,7 +17,7 @@ from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import Rig
 from resync_robot.hardware.base import SERVO_PERIOD, RealtimeRobot, Robot, SafetyError
 from resync_robot.hardware.clearance import Obstacle
-from resync_robot.hardware.room import Room
+from resync_robot.hardware.workspace import Room
 
 FIRST_RUN_SPEED = 0.25
 """m/s of the tip until somebody has confirmed the motions at this machine; the usual figure for people nearby."""

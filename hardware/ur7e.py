@@ -26,10 +26,10 @@ from resync_robot.hardware.base import (
 )
 from resync_robot.hardware.dashboard import OTHER_SAFETY, Dashboard
 from resync_robot.hardware.pauses import blaming_a_pause, pauses
-from resync_robot.hardware.room import Room
 from resync_robot.hardware.ur_memory import LONGEST_STOP, PLAYING, RING, STOPS, Fault, LinkMemory
 from resync_robot.hardware.ur_process import LinkProcess
 from resync_robot.hardware.ur_rig import rig_to_json, room_to_json
+from resync_robot.hardware.workspace import Room
 
 _log = logging.getLogger(__name__)
 

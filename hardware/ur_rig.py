@@ -9,7 +9,7 @@ import numpy as np
 
 from resync_robot.core.rig import ArmRig, CameraRig, ControllerRig, GripperRig, Rig
 from resync_robot.hardware.clearance import Obstacle
-from resync_robot.hardware.room import Room
+from resync_robot.hardware.workspace import Room
 
 T = TypeVar("T")
 

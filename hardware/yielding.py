@@ -24,8 +24,8 @@ from resync_robot.core.errors import MotionError
 from resync_robot.core.rig import Rig
 from resync_robot.hardware.base import SERVO_PERIOD, SafetyError
 from resync_robot.hardware.generator import Generator, Motion
-from resync_robot.hardware.room import Room
 from resync_robot.hardware.safety import FIRST_RUN_SPEED
+from resync_robot.hardware.workspace import Room
 
 PRESSED = 0.6
 """Share of a joint's limit from which it is held back. What accelerates the hand, and noise, stay below."""

@@ -39,9 +39,9 @@ from resync_robot.learning.camera_view import (
 from resync_robot.learning.recovery_policy import project, within_reach
 from resync_robot.policies import camera_order
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
-from resync_robot.policies.footing import Footing, press_on
 from resync_robot.policies.grasp import travel_height
-from resync_robot.policies.neural import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
+from resync_robot.policies.state_recovery import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
+from resync_robot.policies.tip_over_guard import Footing, press_on
 
 ATTEMPT = RecoverySkillSettings(max_decisions=60)
 """Most recoveries take 2 to 4 s. What has not worked in 6 is better begun again after another scan, which knows the

@@ -14,7 +14,7 @@ from resync_robot.core.task import Domain, Task
 from resync_robot.core.trajectory import Trajectory
 from resync_robot.learning.failures import Failure, PairGaussian
 from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.physics.world import SimWorld
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import EffortLimited, Observation, World
 from resync_robot.planning.abstract import HOLDS, Abstraction
 from resync_robot.planning.atom_beliefs import AtomBeliefs, BeliefSettings
+from resync_robot.planning.effect_hypotheses import plan_or_suppose
 from resync_robot.planning.outcome_costs import OutcomeCosts
 from resync_robot.planning.search import Plan, plan
-from resync_robot.planning.suppose import plan_or_suppose
 
 
 @dataclass(frozen=True)

@@ -23,15 +23,15 @@ from resync_robot.core.library import Library, load_library
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.skill import GroundSkill, Outcome
 from resync_robot.core.symbols import GroundOperator
-from resync_robot.deployed_world import OracleWorld
+from resync_robot.deployment.world import OracleWorld
 from resync_robot.hardware.base import SERVO_PERIOD, RobotState, StarvedError
-from resync_robot.hardware.room import Room
 from resync_robot.hardware.sim import SimRobot
+from resync_robot.hardware.workspace import Room
 from resync_robot.hardware.yielding import Yielding
-from resync_robot.knowledge import learned_model, shipped_library
+from resync_robot.library_models import learned_model, shipped_library
 from resync_robot.planning.execute import Listener, plan_and_execute
 from resync_robot.sim_training.domains import find_domain, world_task
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.physics.world import SimWorld
 
 RIG = Path(__file__).parents[2] / "hardware" / "emulated.toml"
 

@@ -12,7 +12,7 @@ from resync_robot.calibration.propose import Proposer, Reach, apart, board_in_ha
 from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import load_rig
-from resync_robot.hardware.room import Room
+from resync_robot.hardware.workspace import Room
 from tests.calibration.synthetic import SPEC
 from tests.emulators import RIG_FILE
 

@@ -14,9 +14,9 @@ from resync_robot.core import spatial
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.hardware.base import SERVO_PERIOD
 from resync_robot.hardware.generator import Generator, Motion
-from resync_robot.hardware.room import Room
 from resync_robot.hardware.safety import FIRST_RUN_SPEED
 from resync_robot.hardware.stream import PRESSING_SPEED
+from resync_robot.hardware.workspace import Room
 from resync_robot.hardware.yielding import FURTHEST, Yielding
 from tests.emulators import RIG_FILE, sister
 from tests.hardware.adversary import assert_nothing_out_of_limits

@@ -10,7 +10,7 @@ import numpy as np
 from resync_robot.core.skill import Ending, Outcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
-from resync_robot.doubt import DoubtingAbstraction
+from resync_robot.deployment.uncertain_atoms import DoubtingAbstraction
 from resync_robot.planning.execute import End, ExecuteSettings, Model, plan_and_execute
 from tests.planning.kitchen import (
     CLEAN,

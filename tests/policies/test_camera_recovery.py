@@ -17,12 +17,12 @@ from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS, Predi
 from resync_robot.learning.recovery_policy import LOWEST_TIP
 from resync_robot.planning.execute import run_skill
 from resync_robot.policies.camera_recovery import MonitorSettings, camera_recovery_skill
-from resync_robot.policies.footing import BENEATH, LET_GO_RISE
 from resync_robot.policies.grasp import travel_height
-from resync_robot.policies.neural import RecoverySkillSettings
-from resync_robot.sim_training.randomise import BLOCK_HUES, LOOKS, draw_looks
-from resync_robot.sim_training.sensor import NoisySensor, Tone
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.policies.state_recovery import RecoverySkillSettings
+from resync_robot.policies.tip_over_guard import BENEATH, LET_GO_RISE
+from resync_robot.sim_training.physics.camera_noise import NoisySensor, Tone
+from resync_robot.sim_training.physics.randomise import BLOCK_HUES, LOOKS, draw_looks
+from resync_robot.sim_training.physics.world import SimWorld
 from tests import scenes
 from tests.policies.followers import RIG, Follower
 from tests.scenes import B0, THE_BOX, R

@@ -16,10 +16,10 @@ from resync_robot.core.world import ArmObservation
 from resync_robot.learning.failures import CONTACT_THRESHOLD_N
 from resync_robot.planning.execute import run_skill
 from resync_robot.policies.scripted import ScriptedSettings, scripted_skills
-from resync_robot.sim_training.domains.cornered_insertion_s import hand_empty, holding, on
+from resync_robot.sim_training.domains.cornered_insertion_s.domain import hand_empty, holding, on
 from resync_robot.sim_training.mine import ContactMonitor, is_at_rest
-from resync_robot.sim_training.parts import CHAMFER, CLEARANCE
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.physics.parts import CHAMFER, CLEARANCE
+from resync_robot.sim_training.physics.world import SimWorld
 from tests import scenes
 from tests.policies.followers import Follower
 from tests.scenes import B0, B1, B2, CORNER, THE_BOX, R

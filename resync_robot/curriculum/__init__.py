@@ -1,0 +1,1 @@
+"""A training run: its folder, its stages step by step, and the pictures and cards that it leaves."""
