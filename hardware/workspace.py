@@ -15,8 +15,8 @@ MARGIN = 0.015
 """m that must stay free between parts of the arm, and between them and what stands around."""
 
 
-class Room:
-    """The room of one rig's arm.
+class Workspace:
+    """The workspace of one rig's arm.
 
     Args:
         rig: limits, mounting and gripper.

@@ -13,7 +13,7 @@ from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.library import Record
 from resync_robot.core.rig import Rig
-from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
@@ -22,7 +22,7 @@ from resync_robot.learning.recovery_policy import STUD, ActorCritic, commanded_t
 from resync_robot.learning.terminals import Terminal
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
 from resync_robot.policies.grasp import travel_height
-from resync_robot.policies.tip_over_guard import Footing, press_on
+from resync_robot.policies.tip_over_guard import TipOverGuard, press_on
 
 RATE_HZ = 50.0
 DECISION_STEPS = 5
@@ -86,7 +86,7 @@ def _recover(
         refused = yield from approach(hand, first.state, block, box, above, s)
         if refused is not None:
             return refused
-        finished, footing = False, Footing()
+        finished, guard = False, TipOverGuard()
         for _ in range(s.max_decisions):
             projected = project(hand.last.state, robot, block, box, hand.position)
             with torch.no_grad():
@@ -95,13 +95,15 @@ def _recover(
                     finished = True
                     break
                 goal = commanded_tip(projected, act(seen))[0].double().numpy()
-            yield from press_on(hand, goal, DECISION_STEPS, footing)
+            yield from press_on(hand, goal, DECISION_STEPS, guard)
         yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
     except Blocked as blocked:
-        return Outcome(Ending.BLOCKED, str(blocked))
+        return SkillOutcome(SkillEnd.BLOCKED, str(blocked))
     if not finished:
-        return Outcome(Ending.TIMEOUT, f"in {s.max_decisions} decisions the policy did not say that {block} is free")
-    return Outcome(Ending.DONE)
+        return SkillOutcome(
+            SkillEnd.TIMEOUT, f"in {s.max_decisions} decisions the policy did not say that {block} is free"
+        )
+    return SkillOutcome(SkillEnd.DONE)
 
 
 def approach(
@@ -112,7 +114,7 @@ def approach(
     above: float,
     s: RecoverySkillSettings,
     aside: tuple[float, float] = (0.0, 0.0),
-) -> Generator[JointTarget, ArmObservation, Outcome | None]:
+) -> Generator[JointTarget, ArmObservation, SkillOutcome | None]:
     """Close the fingers and bring them over the block, square to the box at the smallest turn, as in training.
 
     Args:
@@ -129,7 +131,7 @@ def approach(
     yield from hand.close(0.0)
     if hand.last.opening > s.closed:
         gap = 1000 * hand.last.opening
-        return Outcome(Ending.REFUSED, f"the pads stand {gap:.0f} mm apart: something is between them")
+        return SkillOutcome(SkillEnd.REFUSED, f"the pads stand {gap:.0f} mm apart: something is between them")
     yield from hand.move(x, y, above, yaw, s.travel_speed)
     start = min(above, z + height / 2 + STUD + s.approach_height)
     yield from hand.move(x, y, start, yaw, s.approach_speed)

@@ -36,7 +36,7 @@ BENEATH = 0.004
 
 
 @dataclass
-class Footing:
+class TipOverGuard:
     """Whether what the hand presses on lifts it, or is not beneath it any more.
 
     Attributes:
@@ -66,7 +66,7 @@ class Footing:
 
 
 def press_on(
-    hand: Hand, goal: Float[np.ndarray, "3"], steps: int, footing: Footing
+    hand: Hand, goal: Float[np.ndarray, "3"], steps: int, guard: TipOverGuard
 ) -> Generator[JointTarget, ArmObservation, bool]:
     """Send the tip to `goal` in so many control steps; straight up where it goes up from what it presses on, and where
     that gives way.
@@ -83,7 +83,7 @@ def press_on(
     for i in range(1, steps + 1):
         hand.position = begin + (goal - begin) * i / steps
         hand.last = yield hand.target()
-        if footing.gives_way(hand.tip()[2], hand.position[2]):
+        if guard.gives_way(hand.tip()[2], hand.position[2]):
             break
     else:
         return True

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from resync_robot.core.symbols import Atoms
     from resync_robot.core.task import Domain
     from resync_robot.core.world import World
-    from resync_robot.deployment.uncertain_atoms import DoubtingAbstraction
-    from resync_robot.planning.execute import Listener, Model, Result
+    from resync_robot.deployment.uncertain_atoms import SampledAbstraction
+    from resync_robot.planning.execute import EpisodeResult, Listener, Model
     from resync_robot.planning.search import Plan
     from resync_robot.sim_training.physics.solver import Solver
 
@@ -251,7 +251,7 @@ def _parse(entry: Any) -> tuple[Job, EpisodeRow]:
 
 
 class _Method(Protocol):
-    def __call__(self, world: World, *, goal: Atoms, listener: Listener) -> Result: ...
+    def __call__(self, world: World, *, goal: Atoms, listener: Listener) -> EpisodeResult: ...
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ class _Context:
     worlds: str
     solver: Solver
     given: Model
-    methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]]
+    methods: dict[tuple[int, str], tuple[SampledAbstraction, _Method]]
 
 
 def _context(
@@ -271,23 +271,23 @@ def _context(
     from resync_robot.baselines.human_sequence import run_human_sequence
     from resync_robot.baselines.recovery_chaining import RecoveryChaining
     from resync_robot.core.library import load_library
-    from resync_robot.deployment.uncertain_atoms import doubting
+    from resync_robot.deployment.uncertain_atoms import with_sampled_atoms
     from resync_robot.library_models import camera_recovery, initial_model, learned_model, model_with_recovery
     from resync_robot.planning.execute import plan_and_execute
     from resync_robot.sim_training.domains import find_domain
     from resync_robot.sim_training.physics.solver import REFERENCE, SHIPPED
 
     domain = find_domain(domain_name)
-    initial = doubting(initial_model(domain, rig))
-    methods: dict[tuple[int, str], tuple[DoubtingAbstraction, _Method]] = {}
+    initial = with_sampled_atoms(initial_model(domain, rig))
+    methods: dict[tuple[int, str], tuple[SampledAbstraction, _Method]] = {}
     for i, path in enumerate(paths):
         library = load_library(Path(path))
         # First, for it says what a library lacks.
         recovery = camera_recovery(domain, rig, library) if skills == "camera" else None
-        learned = doubting(learned_model(domain, rig, library, [recovery] if recovery else []))
+        learned = with_sampled_atoms(learned_model(domain, rig, library, [recovery] if recovery else []))
         methods[i, "resync"] = learned.abstraction, partial(plan_and_execute, model=learned)
         record = library.skills[domain.recovery]
-        with_skill = doubting(model_with_recovery(domain, rig, record, recovery))
+        with_skill = with_sampled_atoms(model_with_recovery(domain, rig, record, recovery))
         reaction = RecoveryChaining(with_skill.skill(domain.recovery), record)
         given = initial.abstraction
         methods[i, "rc"] = given, partial(plan_and_execute, model=with_skill, reaction=reaction)
@@ -301,7 +301,7 @@ def _context(
 def _run(context: _Context, job: Job) -> EpisodeRow:
     import time
 
-    from resync_robot.planning.execute import End, Listener, Result, begin_after
+    from resync_robot.planning.execute import EpisodeEnd, EpisodeResult, Listener, begin_after
     from resync_robot.sim_training.domains import world_task
     from resync_robot.sim_training.mine import is_at_rest
     from resync_robot.sim_training.physics.world import SimWorld
@@ -348,11 +348,13 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
                 if begin_after(seen, context.given, before, task.objects):
                     result = method(seen, goal=task.goal, listener=notes)
                 else:
-                    result = Result(End.FAULT, "the episode could not begin as its scenario says", (), (), task.initial)
+                    result = EpisodeResult(
+                        EpisodeEnd.FAULT, "the episode could not begin as its scenario says", (), (), task.initial
+                    )
                 # What the robot believes at the end does not count; what is true does.
                 reached = task.goal <= context.given.abstraction.true_atoms(devices.truth())
             except (PerceptionError, MotionError, RobotError) as error:
-                result, reached = Result(End.FAULT, error.what, (), (), devices.truth()), False
+                result, reached = EpisodeResult(EpisodeEnd.FAULT, error.what, (), (), devices.truth()), False
     return EpisodeRow(
         **vars(job),
         success=reached,

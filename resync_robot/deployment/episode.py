@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from resync_robot.hardware.base import Halt, ProtectiveStopError
     from resync_robot.hardware.devices import Devices
     from resync_robot.perception.segment import Segmenter
-    from resync_robot.planning.execute import End, Model, Result
+    from resync_robot.planning.execute import EpisodeEnd, EpisodeResult, Model
 
 
 BEWARE = "keep away from the robot or press its emergency stop; then look at it, the cable and the controller"
@@ -44,7 +44,7 @@ class EpisodeOutcome:
         replayed: of a replay, how it went.
     """
 
-    result: Result
+    result: EpisodeResult
     reached: bool
     skills: int
     halt: Halt | None
@@ -62,28 +62,30 @@ class EpisodeOutcome:
     @property
     def good(self) -> bool:
         """It came to what it was to come to."""
-        from resync_robot.planning.execute import End
+        from resync_robot.planning.execute import EpisodeEnd
 
         if self.replayed is not None:
             return self.replayed.same
-        return self.reached or self.result.end is End.PLANNED
+        return self.reached or self.result.end is EpisodeEnd.PLANNED
 
     @property
     def verdict(self) -> str:
         """For people; also what is known of the robot, where that is not as it should be or all is not well."""
         from resync_robot.hardware.base import Halt
-        from resync_robot.planning.execute import End
+        from resync_robot.planning.execute import EpisodeEnd
 
         end, reason = self.result.end, self.result.reason
         if self.replayed is not None:
             return self.replayed.verdict
         if self.reached:
             words = "goal reached"
-        elif end is End.GOAL:
+        elif end is EpisodeEnd.GOAL:
             words = "failed (the robot believes that it reached the goal, and in truth it did not)"
         else:
             words = (
-                f"{end.value} ({reason})" if end in (End.PLANNED, End.STOPPED) else f"failed ({end.value}: {reason})"
+                f"{end.value} ({reason})"
+                if end in (EpisodeEnd.PLANNED, EpisodeEnd.STOPPED)
+                else f"failed ({end.value}: {reason})"
             )
         if self.halt is Halt.UNKNOWN or (self.halt is not None and not self.good):
             words += f"; {self.halt.value}"
@@ -110,12 +112,12 @@ def run_episode(
     from resync_robot.deployment.devices import open_simulated
     from resync_robot.deployment.recorder import Recorder
     from resync_robot.deployment.replayed_episode import ReplayRecorder, judge, settings_of
-    from resync_robot.deployment.uncertain_atoms import doubting
+    from resync_robot.deployment.uncertain_atoms import with_sampled_atoms
     from resync_robot.deployment.world import DeployedWorld, OracleWorld
     from resync_robot.hardware.answers import Departure, RecordingOverError
     from resync_robot.hardware.base import Halt, RealtimeRobot, RobotError
     from resync_robot.hardware.devices import Layout, ReplayedDevices, open_replay, open_ur7e
-    from resync_robot.planning.execute import End, ExecuteSettings, Result, begin_after, plan_and_execute
+    from resync_robot.planning.execute import EpisodeEnd, EpisodeResult, ExecuteSettings, begin_after, plan_and_execute
     from resync_robot.signals import let_through
     from resync_robot.sim_training.domains import find_domain
 
@@ -164,7 +166,7 @@ def run_episode(
                 raise error
             devices.resume()
 
-        model = doubting(model)
+        model = with_sampled_atoms(model)
         say(f"Goal: {goal}")
         reached, ending, fix, broken_off = False, None, "", None
         if recording is not None and isinstance(recorder, ReplayRecorder) and isinstance(devices, ReplayedDevices):
@@ -193,10 +195,10 @@ def run_episode(
                 reached = result.success and (
                     devices.truth is None or task.goal <= model.abstraction.true_atoms(devices.truth())
                 )
-            if result.end is End.NO_PLAN and not result.transitions:
+            if result.end is EpisodeEnd.NO_PLAN and not result.transitions:
                 fix = 'See what it saw in the recording, or give another --goal, such as --goal "On(b1,b0)".'
         except BaseException as error:
-            result = Result(*_end(error), (), (), task.initial)
+            result = EpisodeResult(*_end(error), (), (), task.initial)
             recorder.on_end(result.end, result.reason)
             broken_off = error
             # The trouble of one episode is recorded with it, and leaves the others their turn.
@@ -229,15 +231,15 @@ def _dated(meta: EpisodeMeta) -> EpisodeMeta:
     return replace(meta, began=datetime.now(UTC).isoformat())
 
 
-def _end(error: BaseException) -> tuple[End, str]:
+def _end(error: BaseException) -> tuple[EpisodeEnd, str]:
     """How an episode ends that is broken off by this, and why."""
     from resync_robot.core.errors import ResyncError
-    from resync_robot.planning.execute import End
+    from resync_robot.planning.execute import EpisodeEnd
     from resync_robot.signals import number_of, words_for
 
     if isinstance(error, KeyboardInterrupt):
-        return End.STOPPED, words_for(number_of(error))
-    return End.FAULT, error.what if isinstance(error, ResyncError) else f"{type(error).__name__}: {error}"
+        return EpisodeEnd.STOPPED, words_for(number_of(error))
+    return EpisodeEnd.FAULT, error.what if isinstance(error, ResyncError) else f"{type(error).__name__}: {error}"
 
 
 def _may_run(step: str) -> bool:

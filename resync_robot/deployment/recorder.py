@@ -12,12 +12,12 @@ import numpy as np
 from resync_robot.core.episode import Answer, EventKind, Timing
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ResyncError
-from resync_robot.core.skill import GroundSkill, Outcome
+from resync_robot.core.skill import GroundSkill, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, GroundOperator
 from resync_robot.core.world import CameraFrame, Cutout, Glimpse
 from resync_robot.hardware.base import Command, Halt, RobotState
-from resync_robot.planning.execute import End, Listener
+from resync_robot.planning.execute import EpisodeEnd, Listener
 from resync_robot.planning.search import Plan
 
 _log = logging.getLogger(__name__)
@@ -161,7 +161,7 @@ class Recorder(Listener):
     def on_skill_start(self, skill: GroundSkill) -> None:
         self._writer.event(self._clock(), EventKind.SKILL_START, str(skill))
 
-    def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
+    def on_skill_end(self, skill: GroundSkill, outcome: SkillOutcome) -> None:
         self.skills += 1
         words = f"{skill}: {outcome.ending.value}" + (f", {outcome.reason}" if outcome.reason else "")
         self._writer.event(self._clock(), EventKind.SKILL_END, words, ending=outcome.ending.value)
@@ -171,8 +171,12 @@ class Recorder(Listener):
         # Told with the event that follows from it.
         self._failed = {"failed": str(step)}
 
-    def on_end(self, end: End, reason: str) -> None:
-        kinds = {End.GOAL: EventKind.GOAL, End.PLANNED: EventKind.PLANNED, End.STOPPED: EventKind.STOP}
+    def on_end(self, end: EpisodeEnd, reason: str) -> None:
+        kinds = {
+            EpisodeEnd.GOAL: EventKind.GOAL,
+            EpisodeEnd.PLANNED: EventKind.PLANNED,
+            EpisodeEnd.STOPPED: EventKind.STOP,
+        }
         self._writer.event(
             self._clock(), kinds.get(end, EventKind.GIVE_UP), reason or end.value, end=end.value, **self._failed
         )

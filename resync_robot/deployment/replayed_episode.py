@@ -17,7 +17,7 @@ from resync_robot.core.vocabulary import TYPES
 from resync_robot.deployment.recorder import Recorder
 from resync_robot.deployment.settings import DeployConfig
 from resync_robot.hardware.answers import Answers, Departure, RecordingOverError
-from resync_robot.planning.execute import End
+from resync_robot.planning.execute import EpisodeEnd
 from resync_robot.planning.search import Plan as FoundPlan
 
 SETTINGS = ("perception", "skills", "segmenter", "dry_run")
@@ -25,7 +25,7 @@ SETTINGS = ("perception", "skills", "segmenter", "dry_run")
 SAME_PROBABILITY = 0.02
 """By which that of an atom may differ: the same program on another processor rounds otherwise."""
 ENDS = (EventKind.GOAL, EventKind.GIVE_UP, EventKind.PLANNED, EventKind.STOP)
-BROKEN_OFF = (End.FAULT.value, End.STOPPED.value)
+BROKEN_OFF = (EpisodeEnd.FAULT.value, EpisodeEnd.STOPPED.value)
 """Ends that came from outside of what was asked: the last thing asked had no answer."""
 
 
@@ -147,7 +147,7 @@ class ReplayRecorder(Recorder):
         raise Departure(self._answers.now, why)
 
 
-def judge(recording: Episode, answers: Answers, end: End, reason: str, error: BaseException | None) -> Replayed:
+def judge(recording: Episode, answers: Answers, end: EpisodeEnd, reason: str, error: BaseException | None) -> Replayed:
     """How a replay went that ended so.
 
     Args:

@@ -19,7 +19,7 @@ from resync_robot.planning.execute import Model
 
 
 @dataclass(frozen=True, kw_only=True)
-class DoubtSettings:
+class SamplingSettings:
     """Attributes: `samples` of every pose; an atom is certain that holds in a share of them up to `low`, or from `high`
     on."""
 
@@ -28,7 +28,7 @@ class DoubtSettings:
     high: float = 0.9
 
 
-class DoubtingAbstraction(Abstraction):
+class SampledAbstraction(Abstraction):
     """Grounds predicates over samples of the poses that a state's covariance allows.
 
     States without a covariance, such as those of a simulator, are judged as they are.
@@ -38,9 +38,9 @@ class DoubtingAbstraction(Abstraction):
         settings: how many samples, and when to be sure.
     """
 
-    def __init__(self, given: Abstraction, settings: DoubtSettings | None = None) -> None:
+    def __init__(self, given: Abstraction, settings: SamplingSettings | None = None) -> None:
         super().__init__(given.predicates, given.classifiers)
-        self._settings = settings or DoubtSettings()
+        self._settings = settings or SamplingSettings()
         self._last: tuple[State, dict[Atom, float]] | None = None
 
     def shares(self, state: State) -> dict[Atom, float]:
@@ -68,16 +68,16 @@ class DoubtingAbstraction(Abstraction):
 
 
 @dataclass(frozen=True)
-class DoubtingModel(Model):
+class SampledModel(Model):
     """A model for states that are estimated."""
 
-    abstraction: DoubtingAbstraction
+    abstraction: SampledAbstraction
 
 
-def doubting(model: Model) -> DoubtingModel:
+def with_sampled_atoms(model: Model) -> SampledModel:
     """The same model, for states that are estimated."""
-    return DoubtingModel(
-        model.skills, DoubtingAbstraction(model.abstraction), model.operators, model.learned, model.costs
+    return SampledModel(
+        model.skills, SampledAbstraction(model.abstraction), model.operators, model.learned, model.costs
     )
 
 

@@ -21,7 +21,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Object
 from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID, ROBOT
 from resync_robot.core.world import ArmObservation, CameraFrame, Cutout, Ready, Window, awaited
-from resync_robot.deployment.uncertain_atoms import DoubtingAbstraction, objects_in
+from resync_robot.deployment.uncertain_atoms import SampledAbstraction, objects_in
 from resync_robot.hardware.base import Camera, Motions, ProtectiveStopError, Robot, RobotState, WindowedCamera
 from resync_robot.hardware.clearance import Obstacle
 from resync_robot.hardware.joint_moves import travel
@@ -102,7 +102,7 @@ class DeployedWorld:
         live_state: Callable[[], State] | None = None,
         witness: Witness | None = None,
         on_stop: Callable[[ProtectiveStopError], None] | None = None,
-        abstraction: DoubtingAbstraction | None = None,
+        abstraction: SampledAbstraction | None = None,
         segmenter: Segmenter | None = None,
         stream: Motions | None = None,
         ready: Ready = awaited,
@@ -143,7 +143,7 @@ class DeployedWorld:
             arm=measured.q,
             arm_velocity=measured.qd,
             opening=measured.opening,
-            told_opening=self.stream.target.opening,
+            commanded_opening=self.stream.target.opening,
             tip_force=measured.tip_force,
             look=self._look,
             ready=self._thought_out,

@@ -111,7 +111,7 @@ class SimWorld:
             arm=q,
             arm_velocity=qd,
             opening=opening,
-            told_opening=self._target.opening,
+            commanded_opening=self._target.opening,
             tip_force=force,
         )
 

@@ -378,7 +378,13 @@ def test_a_scene_without_a_plan_leaves_the_other_episodes_their_turn(
     renderer: None, library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = execute.plan_and_execute
-    blind = iter([execute.Result(execute.End.NO_PLAN, "no plan reaches On(b1, b0)", (), (), scenes.scene({}).initial)])
+    blind = iter(
+        [
+            execute.EpisodeResult(
+                execute.EpisodeEnd.NO_PLAN, "no plan reaches On(b1, b0)", (), (), scenes.scene({}).initial
+            )
+        ]
+    )
     monkeypatch.setattr(
         execute, "plan_and_execute", lambda *args, **kwargs: next(blind, None) or found(*args, **kwargs)
     )

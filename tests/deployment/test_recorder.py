@@ -13,12 +13,12 @@ from resync_robot.core.episode import Episode, EpisodeMeta, EventKind, Timing, r
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
-from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.world import CameraFrame, Glimpse
 from resync_robot.deployment.recorder import CLOUD_POINTS, Recorder, cloud
 from resync_robot.hardware.base import Command, Halt, RobotState, StaleError
 from resync_robot.library_models import initial_model
-from resync_robot.planning.execute import End
+from resync_robot.planning.execute import EpisodeEnd
 from resync_robot.planning.search import plan
 from resync_robot.sim_training.domains import find_domain
 from tests import scenes
@@ -71,10 +71,10 @@ def test_plans_and_skills_are_told_and_recorded_in_their_order(path: Path) -> No
     s.recorder.on_step_of_plan(0)
     s.recorder.on_skill_start(PICK)
     s.now = 3.0
-    s.recorder.on_skill_end(PICK, Outcome(Ending.BLOCKED, "a wall"))
+    s.recorder.on_skill_end(PICK, SkillOutcome(SkillEnd.BLOCKED, "a wall"))
     s.recorder.on_effects_missing(PLAN.steps[0])
     s.recorder.on_plan(PLAN, "it did not work")
-    s.recorder.on_end(End.STUCK, "again and again")
+    s.recorder.on_end(EpisodeEnd.STUCK, "again and again")
     episode = s.read()
     assert [(e.time, e.kind) for e in episode.events()] == [
         (1.0, EventKind.SKILL_START),
@@ -100,14 +100,14 @@ def test_plans_and_skills_are_told_and_recorded_in_their_order(path: Path) -> No
 @pytest.mark.parametrize(
     ("end", "kind"),
     [
-        (End.GOAL, EventKind.GOAL),
-        (End.PLANNED, EventKind.PLANNED),
-        (End.STOPPED, EventKind.STOP),
-        (End.NO_PLAN, EventKind.GIVE_UP),
-        (End.EXHAUSTED, EventKind.GIVE_UP),
+        (EpisodeEnd.GOAL, EventKind.GOAL),
+        (EpisodeEnd.PLANNED, EventKind.PLANNED),
+        (EpisodeEnd.STOPPED, EventKind.STOP),
+        (EpisodeEnd.NO_PLAN, EventKind.GIVE_UP),
+        (EpisodeEnd.EXHAUSTED, EventKind.GIVE_UP),
     ],
 )
-def test_every_end_is_an_event(path: Path, end: End, kind: EventKind) -> None:
+def test_every_end_is_an_event(path: Path, end: EpisodeEnd, kind: EventKind) -> None:
     s = Session(path)
     s.recorder.on_end(end, "")
     (event,) = s.read().events()

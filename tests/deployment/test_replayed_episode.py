@@ -35,7 +35,7 @@ from resync_robot.hardware.answers import Answers, Departure, RecordingOverError
 from resync_robot.hardware.devices import Devices, open_replay
 from resync_robot.hardware.sim import SimRobot
 from resync_robot.perception.catalogue import Catalogue
-from resync_robot.planning.execute import End
+from resync_robot.planning.execute import EpisodeEnd
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.physics.world import SimWorld
 from tests import scenes
@@ -217,19 +217,25 @@ def test_the_task_is_that_of_the_recording(recorded: Path) -> None:
 @pytest.mark.parametrize(
     ("then", "end", "error", "left", "why"),
     [
-        (End.GOAL, End.GOAL, None, 0, ""),
-        (End.STUCK, End.STUCK, None, 0, ""),
-        (End.STUCK, End.GOAL, None, 0, "it ends (goal), where the recorded run ended (stuck)"),
-        (End.GOAL, End.GOAL, None, 1, "it ends (goal), where the recorded run went on"),
-        (End.GOAL, End.FAULT, RecordingOverError("more"), 0, "it goes on, where the recorded run ended (goal)"),
-        (End.FAULT, End.FAULT, RecordingOverError("more"), 0, ""),
-        (End.STOPPED, End.FAULT, RecordingOverError("more"), 0, ""),
-        (None, End.FAULT, RecordingOverError("more"), 0, ""),
-        (End.GOAL, End.FAULT, Departure(1.5, "it waves"), 3, "it waves"),
+        (EpisodeEnd.GOAL, EpisodeEnd.GOAL, None, 0, ""),
+        (EpisodeEnd.STUCK, EpisodeEnd.STUCK, None, 0, ""),
+        (EpisodeEnd.STUCK, EpisodeEnd.GOAL, None, 0, "it ends (goal), where the recorded run ended (stuck)"),
+        (EpisodeEnd.GOAL, EpisodeEnd.GOAL, None, 1, "it ends (goal), where the recorded run went on"),
+        (
+            EpisodeEnd.GOAL,
+            EpisodeEnd.FAULT,
+            RecordingOverError("more"),
+            0,
+            "it goes on, where the recorded run ended (goal)",
+        ),
+        (EpisodeEnd.FAULT, EpisodeEnd.FAULT, RecordingOverError("more"), 0, ""),
+        (EpisodeEnd.STOPPED, EpisodeEnd.FAULT, RecordingOverError("more"), 0, ""),
+        (None, EpisodeEnd.FAULT, RecordingOverError("more"), 0, ""),
+        (EpisodeEnd.GOAL, EpisodeEnd.FAULT, Departure(1.5, "it waves"), 3, "it waves"),
     ],
 )
 def test_how_two_runs_ended_is_compared(
-    then: End | None, end: End, error: Exception | None, left: int, why: str, tmp_path: Path
+    then: EpisodeEnd | None, end: EpisodeEnd, error: Exception | None, left: int, why: str, tmp_path: Path
 ) -> None:
     rig = load_rig()
     meta = EpisodeMeta.of(rig, library_hash="", domain=DOMAIN, scenario="s1", goal="", seed=0, backend="sim")
@@ -238,7 +244,7 @@ def test_how_two_runs_ended_is_compared(
         for k in range(3):
             writer.answer(Answer(Ask.REST, 0.5 * k, target))
         if then is not None:
-            kind = EventKind.GOAL if then is End.GOAL else EventKind.GIVE_UP
+            kind = EventKind.GOAL if then is EpisodeEnd.GOAL else EventKind.GIVE_UP
             writer.event(1.0, kind, then.value, end=then.value)
         # What is said of the robot afterwards is no end of the run.
         writer.event(1.1, EventKind.HALTED, "it has stopped")

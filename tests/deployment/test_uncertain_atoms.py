@@ -11,7 +11,7 @@ from scipy.stats import norm
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Predicate
 from resync_robot.core.vocabulary import BLOCK
-from resync_robot.deployment.uncertain_atoms import DoubtingAbstraction, DoubtSettings, objects_in, samples
+from resync_robot.deployment.uncertain_atoms import SampledAbstraction, SamplingSettings, objects_in, samples
 from resync_robot.planning.abstract import Abstraction, Not
 from resync_robot.planning.atom_beliefs import AtomBeliefs
 from tests import scenes
@@ -49,13 +49,13 @@ def test_samples_have_the_mean_and_covariance_of_the_state() -> None:
 
 @given(st.floats(-3.0, 3.0))
 def test_the_share_is_the_probability_that_the_pose_gives_it(away: float) -> None:
-    doubting = DoubtingAbstraction(GIVEN, DoubtSettings(samples=1000))
+    doubting = SampledAbstraction(GIVEN, SamplingSettings(samples=1000))
     share = doubting.shares(believed(EDGE - away * SIGMA))[LEFT(B0)]
     assert share == pytest.approx(norm.cdf(away), abs=0.06)
 
 
 def test_near_the_edge_neither_an_atom_nor_its_negation_holds() -> None:
-    doubting = DoubtingAbstraction(GIVEN)
+    doubting = SampledAbstraction(GIVEN)
     near = believed(EDGE - 0.2 * SIGMA)
     assert set(doubting.doubtful(near)) == {LEFT(B0), NOT_LEFT(B0)}
     assert objects_in(doubting.doubtful(near)) == (B0,)
@@ -66,7 +66,7 @@ def test_near_the_edge_neither_an_atom_nor_its_negation_holds() -> None:
 
 
 def test_far_from_the_edge_nothing_is_in_doubt() -> None:
-    doubting = DoubtingAbstraction(GIVEN)
+    doubting = SampledAbstraction(GIVEN)
     for x, atom in ((EDGE - 5 * SIGMA, LEFT(B0)), (EDGE + 5 * SIGMA, NOT_LEFT(B0))):
         assert doubting.doubtful(believed(x)) == {}
         assert atom in doubting.true_atoms(believed(x))
@@ -75,7 +75,7 @@ def test_far_from_the_edge_nothing_is_in_doubt() -> None:
 def test_the_likelier_side_is_what_a_plan_may_rely_on_where_it_must() -> None:
     for away, likelier in ((-0.4, LEFT(B0)), (0.4, NOT_LEFT(B0))):
         beliefs = AtomBeliefs({})
-        beliefs.perceived(DoubtingAbstraction(GIVEN).shares(believed(EDGE + away * SIGMA)))
+        beliefs.perceived(SampledAbstraction(GIVEN).shares(believed(EDGE + away * SIGMA)))
         assert beliefs.certain() == {LEFT(B1)} and beliefs.likely().keys() == {likelier}
 
 
@@ -95,6 +95,6 @@ def test_draws_hang_on_the_name_alone_and_vary_smoothly_with_the_covariance() ->
 
 def test_a_state_that_is_exact_is_judged_as_before() -> None:
     exact = scenes.scene({"b0": (0.0, 0.0), "b1": (-0.1, 0.1)}).initial
-    doubting = DoubtingAbstraction(GIVEN)
+    doubting = SampledAbstraction(GIVEN)
     assert doubting.abstract(exact) == GIVEN.abstract(exact)
     assert doubting.doubtful(exact) == {}

@@ -19,7 +19,7 @@ from resync_robot.core.symbols import Atom, Object, Predicate
 from resync_robot.core.vocabulary import BLOCK, BOX, TYPES
 from resync_robot.core.world import CameraFrame, Cutout, Window
 from resync_robot.deployment import world as worlds
-from resync_robot.deployment.uncertain_atoms import DoubtingAbstraction
+from resync_robot.deployment.uncertain_atoms import SampledAbstraction
 from resync_robot.deployment.world import MORE_LOOKS, DeployedWorld, OracleWorld, walled
 from resync_robot.hardware.base import ProtectiveStopError
 from resync_robot.hardware.sim import SimRobot
@@ -239,7 +239,7 @@ def looking(monkeypatch: pytest.MonkeyPatch, stripe: float = 1.0, blocks: tuple[
     simulated = SimWorld(scenes.scene({name: (0.0, 0.1 * i) for i, name in enumerate(blocks)}), RIG)
     robot = SimRobot(simulated)
     robot.connect()
-    abstraction = DoubtingAbstraction(Abstraction((STRIPED,), {"Striped": striped}))
+    abstraction = SampledAbstraction(Abstraction((STRIPED,), {"Striped": striped}))
     world = DeployedWorld(
         robot, {"wrist": eye}, RIG, simulated.task.objects, witness=Told(on_doubt=on_doubt), abstraction=abstraction
     )

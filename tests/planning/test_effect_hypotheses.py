@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from resync_robot.core.errors import PlanningError
-from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, Object, Operator, Predicate, Variable
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.planning.abstract import Abstraction, Exists, ForAll, Not
 from resync_robot.planning.effect_hypotheses import check_goal, plan_or_suppose
-from resync_robot.planning.execute import End, ExecuteSettings, Model, plan_and_execute
+from resync_robot.planning.execute import EpisodeEnd, ExecuteSettings, Model, plan_and_execute
 from resync_robot.planning.search import ground_all
 from tests.planning.kitchen import CUP, A, B, Kitchen, Notes, Toy, kitchen
 from tests.planning.models import BLOCKS, HAND_EMPTY, HOLDING, ON, PICK, PREDICATES, RECOVER, ROBOT_0, scene
@@ -161,7 +161,7 @@ def cups(world: Kitchen) -> Model:
     }
 
     def skill(name: str, count: int) -> Skill:
-        done = Outcome(Ending.DONE)
+        done = SkillOutcome(SkillEnd.DONE)
         return Skill(name, (CUP,) * count, lambda objects, first: Toy(world, change[name](objects), done), 10.0, 2.0)
 
     classifiers = {
@@ -185,4 +185,4 @@ def test_the_last_resort_swaps_two_cups_and_can_be_switched_off() -> None:
     assert notes.reasons == ["start; no plan otherwise, perhaps Take(a) ends OnCup"]
     world = kitchen(open="b")
     refused = plan_and_execute(world, cups(world), goal, ExecuteSettings(suppose=False))
-    assert refused.end is End.NO_PLAN and not refused.transitions
+    assert refused.end is EpisodeEnd.NO_PLAN and not refused.transitions

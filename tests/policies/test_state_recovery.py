@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.learning.recovery_policy import LOWEST_TIP, OBSERVATION_SIZE, STEP
 from resync_robot.planning.execute import run_skill
 from resync_robot.policies.grasp import travel_height
@@ -32,7 +32,7 @@ SCENE = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).i
 SETTINGS = RecoverySkillSettings(max_decisions=6)
 
 
-def run(act: Callable[[Tensor], Tensor], done: Callable[[Tensor], Tensor]) -> tuple[Outcome, Follower]:
+def run(act: Callable[[Tensor], Tensor], done: Callable[[Tensor], Tensor]) -> tuple[SkillOutcome, Follower]:
     world = Follower(SCENE)
     skill = skill_from("Recover", act, done, RIG, SETTINGS)
     return run_skill(world, skill.ground((R, B0, THE_BOX))), world
@@ -58,7 +58,7 @@ def down(seen: Tensor) -> Tensor:
 
 def test_it_begins_over_the_block_with_closed_fingers_and_ends_high() -> None:
     outcome, world = run(still, after(2))
-    assert outcome == Outcome(Ending.DONE)
+    assert outcome == SkillOutcome(SkillEnd.DONE)
     block = SCENE.get(B0, "x", "y", "z")
     start = block + [0, 0, scenes.HEIGHT / 2 + 0.012 + SETTINGS.approach_height]
     closest = min(world.tips, key=lambda tip: float(np.linalg.norm(tip - start)))
@@ -70,7 +70,7 @@ def test_it_begins_over_the_block_with_closed_fingers_and_ends_high() -> None:
 
 def test_without_beta_it_gives_up_after_its_decisions() -> None:
     outcome, world = run(still, never)
-    assert outcome.ending is Ending.TIMEOUT and "b0" in outcome.reason
+    assert outcome.ending is SkillEnd.TIMEOUT and "b0" in outcome.reason
     assert world.tips[-1][2] >= travel_height(SCENE, None) - 1e-3
 
 
@@ -78,7 +78,7 @@ def test_with_something_between_the_pads_it_refuses_and_stays_where_it_is() -> N
     world = Follower(SCENE, between=0.06)
     begun = world.rig.tip_pose(world.arm)[:3, 3]
     outcome = run_skill(world, skill_from("Recover", still, never, RIG, SETTINGS).ground((R, B0, THE_BOX)))
-    assert outcome.ending is Ending.REFUSED and "60 mm apart" in outcome.reason
+    assert outcome.ending is SkillEnd.REFUSED and "60 mm apart" in outcome.reason
     np.testing.assert_allclose(world.tips, np.tile(begun, (len(world.tips), 1)), atol=1e-6)
 
 
@@ -87,7 +87,7 @@ def test_a_heavy_block_stays_in_the_hand_that_refuses() -> None:
     pick = next(s for s in scripted_skills(RIG) if s.name == "Pick")
     assert run_skill(world, pick.ground((R, B0))).done
     recover = skill_from("Recover", still, never, RIG, SETTINGS)
-    assert run_skill(world, recover.ground((R, B1, THE_BOX))).ending is Ending.REFUSED
+    assert run_skill(world, recover.ground((R, B1, THE_BOX))).ending is SkillEnd.REFUSED
     assert holding(world.perceive(), (R, B0))
 
 
@@ -115,4 +115,4 @@ def test_a_record_becomes_a_skill_that_runs() -> None:
     skill = recovery_skill("Recover", recovery_record(), RIG, RecoverySkillSettings(max_decisions=2))
     assert skill.live_state and [t.name for t in skill.types] == ["robot", "block", "box"]
     outcome = run_skill(Follower(SCENE), skill.ground((R, B0, THE_BOX)))
-    assert outcome.ending in (Ending.DONE, Ending.TIMEOUT)
+    assert outcome.ending in (SkillEnd.DONE, SkillEnd.TIMEOUT)

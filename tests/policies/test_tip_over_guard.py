@@ -21,7 +21,7 @@ from resync_robot.policies.tip_over_guard import (
     PRESSED,
     RISE,
     RISE_STEPS,
-    Footing,
+    TipOverGuard,
     press_on,
 )
 from tests import scenes
@@ -54,8 +54,8 @@ class Top(Follower):
         super().act(JointTarget(arm, target.opening), duration)
 
 
-def go(world: Follower, hand: Hand, goal: np.ndarray, footing: Footing) -> bool:
-    motion = press_on(hand, goal, 5, footing)
+def go(world: Follower, hand: Hand, goal: np.ndarray, guard: TipOverGuard) -> bool:
+    motion = press_on(hand, goal, 5, guard)
     target = next(motion)
     while True:
         world.act(target, PERIOD)
@@ -65,23 +65,23 @@ def go(world: Follower, hand: Hand, goal: np.ndarray, footing: Footing) -> bool:
             return ended.value
 
 
-def pressing(world: Follower, footing: Footing) -> Hand:
+def pressing(world: Follower, guard: TipOverGuard) -> Hand:
     """A hand that was sent 2 cm beneath the floor of its world."""
     hand = Hand(RIG, world.observe(), PERIOD, stray=np.inf)
     down = np.array([*hand.position[:2], FLOOR - 0.02])
     for goal in np.linspace(hand.position, down, 21)[1:]:
-        go(world, hand, goal, footing)
+        go(world, hand, goal, guard)
     return hand
 
 
 def drag(steep: float, decisions: int = 12) -> tuple[list[bool], Top]:
     """Press from above, then drag along x in steps of 1 cm."""
-    world, footing = Top(SCENE, steep=steep), Footing()
-    hand = pressing(world, footing)
+    world, guard = Top(SCENE, steep=steep), TipOverGuard()
+    hand = pressing(world, guard)
     whole = []
     for _ in range(decisions):
         goal = np.array([hand.position[0] + 0.01, hand.position[1], FLOOR - 0.02])
-        whole.append(go(world, hand, goal, footing))
+        whole.append(go(world, hand, goal, guard))
     return whole, world
 
 
@@ -104,29 +104,29 @@ def test_a_block_that_leans_is_let_go_and_pressed_again() -> None:
 
 
 def test_a_hand_that_is_done_pressing_goes_straight_up() -> None:
-    world, footing = Top(SCENE), Footing()
-    hand = pressing(world, footing)
+    world, guard = Top(SCENE), TipOverGuard()
+    hand = pressing(world, guard)
     # Held by what it presses on, the tip is 2 cm behind where it is drawn to.
     place = hand.tip()
     hand.position += [0.02, 0.0, 0.0]
     world.tips.clear()
     # Pressing less is no lifting, however much less.
     aside = hand.position + [0.005, 0.0, 0.012]
-    assert go(world, hand, aside, footing)
+    assert go(world, hand, aside, guard)
     np.testing.assert_allclose(hand.position, aside)
     place = hand.tip()
-    assert go(world, hand, hand.position + [0.005, 0.0, 0.005], footing)
+    assert go(world, hand, hand.position + [0.005, 0.0, 0.005], guard)
     np.testing.assert_allclose(hand.position, [*place[:2], FLOOR - 0.003], atol=1e-6)
     # In the air a hand goes where it is sent.
-    go(world, hand, hand.position + [0.0, 0.0, 0.05], footing)
+    go(world, hand, hand.position + [0.0, 0.0, 0.05], guard)
     aside = hand.position + [0.01, 0.0, 0.015]
-    go(world, hand, aside, footing)
+    go(world, hand, aside, guard)
     np.testing.assert_allclose(hand.position, aside)
 
 
 def test_a_hand_that_slid_off_the_block_notices_and_rises() -> None:
     world = Top(SCENE)
-    standing, off = Footing(top=FLOOR + BENEATH - 1e-3), Footing(top=FLOOR + BENEATH + 1e-3)
+    standing, off = TipOverGuard(top=FLOOR + BENEATH - 1e-3), TipOverGuard(top=FLOOR + BENEATH + 1e-3)
     hand = pressing(world, standing)
     assert go(world, hand, hand.position + [0.01, 0.0, 0.0], standing)
     assert not go(world, hand, hand.position + [0.01, 0.0, 0.0], off)
@@ -135,24 +135,24 @@ def test_a_hand_that_slid_off_the_block_notices_and_rises() -> None:
 
 @given(HEIGHTS, HEIGHTS, HEIGHTS)
 def test_beside_a_block_is_beneath_its_top_whatever_it_was_sent(top: float, tip: float, sent: float) -> None:
-    assert (Footing(top=top).gives_way(tip, sent)) == (tip < top - BENEATH)
-    assert not Footing().gives_way(tip, sent)
+    assert (TipOverGuard(top=top).gives_way(tip, sent)) == (tip < top - BENEATH)
+    assert not TipOverGuard().gives_way(tip, sent)
 
 
 @given(st.lists(st.tuples(HEIGHTS, HEIGHTS), max_size=40), HEIGHTS)
 def test_a_hand_in_the_air_feels_nothing(steps: list[tuple[float, float]], height: float) -> None:
-    footing = Footing()
+    guard = TipOverGuard()
     for tip, sent in steps:
-        footing.gives_way(tip, sent)
-    assert not footing.gives_way(height, height - PRESSED + 1e-6)
+        guard.gives_way(tip, sent)
+    assert not guard.gives_way(height, height - PRESSED + 1e-6)
     # And nothing of what it stood on before.
-    assert not footing.gives_way(height + 0.01, height - PRESSED)
+    assert not guard.gives_way(height + 0.01, height - PRESSED)
 
 
 @given(st.lists(HEIGHTS, min_size=1, max_size=40))
 def test_only_a_rise_above_the_lowest_that_lasts_is_a_lean(heights: list[float]) -> None:
-    footing = Footing()
-    felt = [footing.gives_way(z, z - 2 * PRESSED) for z in heights]
+    guard = TipOverGuard()
+    felt = [guard.gives_way(z, z - 2 * PRESSED) for z in heights]
     risen = heights > np.minimum.accumulate(heights) + RISE
     assert felt == [bool(risen[max(0, i + 1 - RISE_STEPS) : i + 1].sum() == RISE_STEPS) for i in range(len(heights))]
 
@@ -163,28 +163,28 @@ STRUCK = [14.0, 10.7, 9.2, 10.0, 11.6, 11.5, 10.3, 10.3, 11.5, 11.2, 11.0, 10.2,
 
 @pytest.mark.parametrize("known", [False, True])
 def test_a_hand_that_wobbles_after_it_has_struck_feels_no_lean(known: bool) -> None:
-    footing = Footing(top=0.0) if known else Footing()
-    assert not any(footing.gives_way(z / 1000, -0.01) for z in STRUCK)
+    guard = TipOverGuard(top=0.0) if known else TipOverGuard()
+    assert not any(guard.gives_way(z / 1000, -0.01) for z in STRUCK)
 
 
 def test_no_hand_rests_above_the_stud_of_a_block_that_stands() -> None:
     leaning = [*STRUCK, 11.9, 13.1, 14.4, 15.8]
-    known, unknown = Footing(top=0.0), Footing()
+    known, unknown = TipOverGuard(top=0.0), TipOverGuard()
     assert [known.gives_way(z / 1000, -0.01) for z in leaning].index(True) == len(STRUCK) + 1
     assert [unknown.gives_way(z / 1000, -0.01) for z in leaning].index(True) == len(STRUCK) + 2
     # On the way down it has not touched anything yet.
-    assert not any(Footing(top=0.0).gives_way(z, z - 2 * PRESSED) for z in np.linspace(0.05, STUD + 2 * ABOVE, 9))
+    assert not any(TipOverGuard(top=0.0).gives_way(z, z - 2 * PRESSED) for z in np.linspace(0.05, STUD + 2 * ABOVE, 9))
 
 
 @pytest.mark.parametrize("ahead", [0.0, 0.05, 0.15])
 def test_a_hand_that_was_sent_far_ahead_comes_back_without_a_jump(ahead: float) -> None:
-    lifting, sinking = Footing(), Footing(top=FLOOR + BENEATH + 1e-3)
-    for footing, up in ((lifting, 0.015), (sinking, 0.0)):
+    lifting, sinking = TipOverGuard(), TipOverGuard(top=FLOOR + BENEATH + 1e-3)
+    for guard, up in ((lifting, 0.015), (sinking, 0.0)):
         world = Top(SCENE)
-        hand = pressing(world, Footing())
+        hand = pressing(world, TipOverGuard())
         hand.position += [ahead, 0.0, -0.02]
         before, sent = hand.position.copy(), []
-        motion = press_on(hand, hand.position + [0.0, 0.0, up], 5, footing)
+        motion = press_on(hand, hand.position + [0.0, 0.0, up], 5, guard)
         next(motion)
         while True:
             sent.append(hand.position.copy())
