@@ -18,7 +18,7 @@ from resync_robot.core.errors import CalibrationError
 from resync_robot.core.kinematics import BRANCHES
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.hardware.base import SafetyError
-from resync_robot.hardware.room import Room, heights
+from resync_robot.hardware.workspace import Workspace, heights
 
 CANDIDATES = 1200
 PATH_STEP = 0.05
@@ -89,7 +89,7 @@ class Proposer:
         tips = spatial.apply(rig.gripper.flange_T_tip, np.array([[0, y, 0] for y in (-0.08, 0.0, 0.08)]))
         # What the flange carries, in its frame.
         self._carried = np.concatenate([tips, spatial.apply(other_T_board, corners)]) if self.held else tips
-        self._room = Room(with_board(rig, spec) if self.held else rig)
+        self._workspace = Workspace(with_board(rig, spec) if self.held else rig)
         self._keep_off = np.array([c.pose[:3, 3] for c in rig.cameras if c.mount == "world"]).reshape(-1, 3)
 
     def __call__(self, count: int, seed: int = 0) -> list[Float[np.ndarray, "6"]]:
@@ -175,7 +175,7 @@ class Proposer:
     def _is_allowed(self, q: Float[np.ndarray, "1 6"]) -> bool:
         """Would the safety gate let it pass? It ends the round otherwise."""
         try:
-            self._room.check(q)
+            self._workspace.check(q)
         except SafetyError:
             return False
         return True

@@ -5,11 +5,11 @@ Run it with `python docs/example.py`.
 
 from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
-from resync_robot.knowledge import learned_model, shipped_library
+from resync_robot.library_models import learned_model, shipped_library
 from resync_robot.planning.execute import plan_and_execute
 from resync_robot.planning.search import plan
 from resync_robot.sim_training.domains import find_domain, world_task
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.physics.world import SimWorld
 
 domain, rig = find_domain("cornered-insertion-s"), load_rig()
 model = learned_model(domain, rig, load_library(shipped_library(domain.name)))

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from resync_robot.core.embodiment import Embodiment, Stage
-from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import ROUND, SE2, Object, Operator, Predicate, Type, Variable
 from resync_robot.core.task import Domain, Scenario, Task
@@ -320,13 +320,13 @@ class Drive:
         self._robot, self._aim, self._grip, self._done = robot, aim, grip, done
         self._last, self._held_up = np.full(2, np.inf), 0
 
-    def step(self, seen: Observation) -> np.ndarray | Outcome:
+    def step(self, seen: Observation) -> np.ndarray | SkillOutcome:
         state, here = seen.state, seen.state[self._robot][:2]
         if self._done(state):
-            return Outcome(Ending.DONE)
+            return SkillOutcome(SkillEnd.DONE)
         self._held_up = self._held_up + 1 if math.dist(here, self._last) < 0.002 else 0
         if self._held_up > 5:
-            return Outcome(Ending.BLOCKED, "something is in the way")
+            return SkillOutcome(SkillEnd.BLOCKED, "something is in the way")
         self._last = here
         way = self._aim(state) - here
         far = float(np.hypot(*way))
@@ -354,9 +354,9 @@ class Fetch:
         self._robot, self._puck = objects
         self._drive = Drive(self._robot, lambda s: via(s, self._robot, s[self._puck][:2]), -1.0, lambda s: False)
 
-    def step(self, seen: Observation) -> np.ndarray | Outcome:
+    def step(self, seen: Observation) -> np.ndarray | SkillOutcome:
         if holding(seen.state, (self._robot, self._puck)):
-            return Outcome(Ending.DONE)
+            return SkillOutcome(SkillEnd.DONE)
         if _gap(seen.state, self._robot, self._puck) < 0.8 * REACH:
             return np.array([0.0, 0.0, 1.0])
         return self._drive.step(seen)
@@ -378,16 +378,16 @@ class Bring:
         )
         self._leaving = 0
 
-    def step(self, seen: Observation) -> np.ndarray | Outcome:
+    def step(self, seen: Observation) -> np.ndarray | SkillOutcome:
         if not self._held:
-            return Outcome(Ending.REFUSED, f"{self._puck} is not held")
+            return SkillOutcome(SkillEnd.REFUSED, f"{self._puck} is not held")
         if not self._leaving:
             answer = self._drive.step(seen)
-            if not (isinstance(answer, Outcome) and answer.done):
+            if not (isinstance(answer, SkillOutcome) and answer.done):
                 return answer
         self._leaving += 1
         if self._leaving > 4:
-            return Outcome(Ending.DONE)
+            return SkillOutcome(SkillEnd.DONE)
         return np.array([*(-self._offset / np.hypot(*self._offset) * GENTLE), -1.0])
 
 

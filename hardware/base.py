@@ -19,7 +19,7 @@ from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Window
 if TYPE_CHECKING:
     from resync_robot.core.episode import Timing
     from resync_robot.hardware.clearance import Obstacle
-    from resync_robot.hardware.room import Room
+    from resync_robot.hardware.workspace import Workspace
 
 SERVO_PERIOD = 0.002
 """Seconds between two setpoints: the controller's tick of 500 Hz."""
@@ -168,8 +168,8 @@ class RealtimeRobot(Robot, Protocol):
         """
         ...
 
-    def stay_in(self, room: Room) -> None:
-        """Yield within this room, as it is when an effort limit is set; its guard's, which may still change it."""
+    def stay_in(self, workspace: Workspace) -> None:
+        """Yield within this workspace, as it is when an effort limit is set; its guard's, which may still change it."""
         ...
 
     def due(self) -> float:

@@ -2,8 +2,8 @@
 
 A block is the run of setpoints for one target. It is checked as a whole, so a motion that would break a limit at
 its end is refused before its beginning. Velocity, acceleration and jerk are finite differences over the setpoints
-really sent, seams included: what is checked is what the robot sees. Room and tip speed are looked at every STRIDE
-setpoints, between which the tip moves no further than the room's MARGIN and a little.
+really sent, seams included: what is checked is what the robot sees. Workspace and tip speed are looked at every STRIDE
+setpoints, between which the tip moves no further than the workspace's MARGIN and a little.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import Rig
 from resync_robot.hardware.base import SERVO_PERIOD, RealtimeRobot, Robot, SafetyError
 from resync_robot.hardware.clearance import Obstacle
-from resync_robot.hardware.room import Room
+from resync_robot.hardware.workspace import Workspace
 
 FIRST_RUN_SPEED = 0.25
 """m/s of the tip until somebody has confirmed the motions at this machine; the usual figure for people nearby."""
@@ -49,9 +49,9 @@ class Guard:
             ("jerk", "rad/s^3", arm.jerk_limit),
         )
         self._controller = rig.controller
-        self._room = Room(rig, table_z, margin)
+        self._workspace = Workspace(rig, table_z, margin)
         if self._realtime is not None:
-            self._realtime.stay_in(self._room)
+            self._realtime.stay_in(self._workspace)
         self._past = np.zeros((3, 6))
         self._opening = float(np.clip(robot.state().opening, 0.0, rig.gripper.max_opening))
         self.start()
@@ -67,7 +67,7 @@ class Guard:
 
     def keep_out(self, *obstacles: Obstacle) -> None:
         """Let nothing but the hand come near these, from now on."""
-        self._room.keep_out(*obstacles)
+        self._workspace.keep_out(*obstacles)
 
     def start(self) -> None:
         """Take the arm where it is measured, at rest, as the last setpoint: after connecting, after a stop.
@@ -102,7 +102,7 @@ class Guard:
         if q.shape != (6,):
             raise SafetyError("shape", "arm", float(q.size), 6.0, f"a target has shape {q.shape}, it must be (6,)")
         self._check_block(q[None], np.array([opening], dtype=np.float64))
-        self._room.check_frames(self._room.frames(q[None]))
+        self._workspace.check_frames(self._workspace.frames(q[None]))
 
     def tip_speed(self, setpoints: Float[np.ndarray, "n 6"]) -> float:
         """m/s; the fastest of the tip on the way from the last setpoint through these."""
@@ -181,10 +181,10 @@ class Guard:
             raise self.too_much_force(force)
 
     def _check_motion(self, past: np.ndarray, setpoints: np.ndarray) -> None:
-        """Rates, room and tip speed of setpoints that follow the three of `past`."""
+        """Rates, workspace and tip speed of setpoints that follow the three of `past`."""
         self._check_rates(past, setpoints)
         frames, seconds = self._sampled(past, setpoints)
-        self._room.check_frames(frames[1:])
+        self._workspace.check_frames(frames[1:])
         self._check_tip_speed(frames, seconds)
 
     def _sampled(
@@ -192,11 +192,11 @@ class Guard:
     ) -> tuple[Float[np.ndarray, "m 7 4 4"], Float[np.ndarray, " k"]]:
         """Frames at the end of `past` and every STRIDE from there, the end included, and the seconds in between."""
         rows = np.unique([*range(0, len(setpoints) + 1, STRIDE), len(setpoints)])
-        frames = self._room.frames(np.concatenate([past[-1:], setpoints])[rows])
+        frames = self._workspace.frames(np.concatenate([past[-1:], setpoints])[rows])
         return frames, np.diff(rows) * SERVO_PERIOD
 
     def _tip_speed(self, frames: np.ndarray, seconds: np.ndarray) -> float:
-        ways = np.linalg.norm(np.diff(self._room.tips(frames), axis=0), axis=1)
+        ways = np.linalg.norm(np.diff(self._workspace.tips(frames), axis=0), axis=1)
         return float((ways / seconds).max(initial=0.0))
 
     def _check_tip_speed(self, frames: np.ndarray, seconds: np.ndarray) -> None:
@@ -217,7 +217,7 @@ class Guard:
                 "shape", "arm", float(setpoints.size), 6.0,
                 f"setpoints of shape {setpoints.shape} with openings of shape {openings.shape}; allowed: (n, 6), (n,)",
             )  # fmt: skip
-        self._room.check_joints(setpoints)
+        self._workspace.check_joints(setpoints)
         widest = self._rig.gripper.max_opening
         if not ((openings >= 0.0) & (openings <= widest)).all():
             wrong = float(openings[~((openings >= 0.0) & (openings <= widest))][0])

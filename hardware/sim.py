@@ -1,4 +1,4 @@
-"""The simulated robot, gripper and cameras. The physics is handed in: this room knows no simulator."""
+"""The simulated robot, gripper and cameras. The physics is handed in: this package knows no simulator."""
 
 from __future__ import annotations
 

@@ -26,10 +26,10 @@ from resync_robot.hardware.base import (
 )
 from resync_robot.hardware.dashboard import OTHER_SAFETY, Dashboard
 from resync_robot.hardware.pauses import blaming_a_pause, pauses
-from resync_robot.hardware.room import Room
 from resync_robot.hardware.ur_memory import LONGEST_STOP, PLAYING, RING, STOPS, Fault, LinkMemory
 from resync_robot.hardware.ur_process import LinkProcess
-from resync_robot.hardware.ur_rig import rig_to_json, room_to_json
+from resync_robot.hardware.ur_rig import rig_to_json, workspace_to_json
+from resync_robot.hardware.workspace import Workspace
 
 _log = logging.getLogger(__name__)
 
@@ -67,7 +67,7 @@ class Ur7e(Connected):
         self._opening = 0.0
         self._blocks = 0
         self._orders = 0
-        self._room = Room(rig)
+        self._workspace = Workspace(rig)
         self._last_heard = 0.0, time.monotonic()
         self._halt: Halt | None = None
         self._unreached = ""
@@ -209,15 +209,15 @@ class Ur7e(Connected):
             return
         self._orders += 1
         effort = None if limit is None else list(limit)
-        self._link.order(number=self._orders, effort=effort, room=room_to_json(self._room))
+        self._link.order(number=self._orders, effort=effort, workspace=workspace_to_json(self._workspace))
         # It is taken when the last setpoint is out; what yielded comes to rest first.
         while int(w["orders"]) < self._orders:
             self._require_running()
             time.sleep(SERVO_PERIOD)
 
-    def stay_in(self, room: Room) -> None:
+    def stay_in(self, workspace: Workspace) -> None:
         """See `RealtimeRobot`."""
-        self._room = room
+        self._workspace = workspace
 
     def acknowledge_stop(self) -> None:
         """After a person has looked: unlock a protective stop once it is old enough, and connect anew.

@@ -27,7 +27,7 @@ import numpy as np
 
 from resync_robot.hardware.generator import Generator
 from resync_robot.hardware.ur_memory import PLAYING, RING, SNAPSHOT, STOPS, Fault, LinkMemory
-from resync_robot.hardware.ur_rig import rig_from_json, room_from_json
+from resync_robot.hardware.ur_rig import rig_from_json, workspace_from_json
 from resync_robot.hardware.yielding import Yielding
 
 PERIOD = 0.002
@@ -187,9 +187,9 @@ class Link:
 
     def _begin(self, order: dict[str, Any]) -> None:
         if order["effort"] is not None:
-            room = room_from_json(self._rig, order["room"])
+            workspace = workspace_from_json(self._rig, order["workspace"])
             here = self._now["q"].copy() if self._past is None else self._past[-1]
-            self._yielding = Yielding(self._rig, room, order["effort"], here, self._wrench())
+            self._yielding = Yielding(self._rig, workspace, order["effort"], here, self._wrench())
         self._words["orders"] = order["number"]
 
     def _wrench(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What the link's process has to know of a rig, as JSON: numbers for limits and room, nothing of what cameras see."""
+"""What the link's process has to know of a rig, as JSON: numbers for limits and workspace, nothing of cameras."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from resync_robot.core.rig import ArmRig, CameraRig, ControllerRig, GripperRig, Rig
 from resync_robot.hardware.clearance import Obstacle
-from resync_robot.hardware.room import Room
+from resync_robot.hardware.workspace import Workspace
 
 T = TypeVar("T")
 
@@ -36,16 +36,20 @@ def rig_from_json(data: dict[str, Any]) -> Rig:
     )
 
 
-def room_to_json(room: Room) -> dict[str, Any]:
-    """See `room_from_json`."""
-    return {"table_z": room.table_z, "margin": room.margin, "obstacles": [_table(o) for o in room.obstacles]}
+def workspace_to_json(workspace: Workspace) -> dict[str, Any]:
+    """See `workspace_from_json`."""
+    return {
+        "table_z": workspace.table_z,
+        "margin": workspace.margin,
+        "obstacles": [_table(o) for o in workspace.obstacles],
+    }
 
 
-def room_from_json(rig: Rig, data: dict[str, Any]) -> Room:
-    """A room of that rig's arm like the one that `room_to_json` was given."""
-    room = Room(rig, data["table_z"], data["margin"])
-    room.keep_out(*(_made(Obstacle, table) for table in data["obstacles"]))
-    return room
+def workspace_from_json(rig: Rig, data: dict[str, Any]) -> Workspace:
+    """A workspace of that rig's arm like the one that `workspace_to_json` was given."""
+    workspace = Workspace(rig, data["table_z"], data["margin"])
+    workspace.keep_out(*(_made(Obstacle, table) for table in data["obstacles"]))
+    return workspace
 
 
 def _table(part: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ Why DAMPING is what it is: near the limit, contact (k N/m at the tip) and dampin
 k * max eig(J D^-1 J^T), 5.4e-4 k at home; times the delay from a setpoint to its force it has to stay below 1.5.
 
 All motion is one jerk-limited follower of a wanted velocity, from the first setpoint to the last: there is no other
-mode to begin or to end, and so no seam. It goes only where it can brake within its room.
+mode to begin or to end, and so no seam. It goes only where it can brake within its workspace.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from resync_robot.core.errors import MotionError
 from resync_robot.core.rig import Rig
 from resync_robot.hardware.base import SERVO_PERIOD, SafetyError
 from resync_robot.hardware.generator import Generator, Motion
-from resync_robot.hardware.room import Room
 from resync_robot.hardware.safety import FIRST_RUN_SPEED
+from resync_robot.hardware.workspace import Workspace
 
 PRESSED = 0.6
 """Share of a joint's limit from which it is held back. What accelerates the hand, and noise, stay below."""
@@ -59,7 +59,7 @@ class Yielding:
 
     Args:
         rig: limits, mounting and gripper.
-        room: where the arm may be; it yields no further.
+        workspace: where the arm may be; it yields no further.
         limit: (6,) N m.
         q: (6,) rad, the setpoint at which the arm rests now.
         wrench: (6,) N, N m of the world on the tip, at its point, world axes; what it says of an arm that touches
@@ -72,12 +72,12 @@ class Yielding:
     def __init__(
         self,
         rig: Rig,
-        room: Room,
+        workspace: Workspace,
         limit: Float[np.ndarray, "6"],
         q: Float[np.ndarray, "6"],
         wrench: Float[np.ndarray, "6"],
     ) -> None:
-        self._rig, self._room, self._limit = rig, room, np.asarray(limit, dtype=np.float64)
+        self._rig, self._workspace, self._limit = rig, workspace, np.asarray(limit, dtype=np.float64)
         self._free = np.where(np.isfinite(wrench), wrench, 0.0)
         self._damping = DAMPING * max(1.0, rig.arm.facts.reach / DAMPED_REACH) ** 2
         self._slow = rig.controller is not None and not rig.controller.full_speed
@@ -189,7 +189,7 @@ class Yielding:
                 return False
         rest = self._generator.to_rest(step)[-1:]
         try:
-            self._room.check(rest if len(rest) else step.position[None])
+            self._workspace.check(rest if len(rest) else step.position[None])
         except SafetyError:
             return False
         return True

@@ -17,7 +17,7 @@ import torch
 
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
-from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
@@ -39,9 +39,9 @@ from resync_robot.learning.camera_view import (
 from resync_robot.learning.recovery_policy import project, within_reach
 from resync_robot.policies import camera_order
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
-from resync_robot.policies.footing import Footing, press_on
 from resync_robot.policies.grasp import travel_height
-from resync_robot.policies.neural import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
+from resync_robot.policies.state_recovery import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
+from resync_robot.policies.tip_over_guard import TipOverGuard, press_on
 
 ATTEMPT = RecoverySkillSettings(max_decisions=60)
 """Most recoveries take 2 to 4 s. What has not worked in 6 is better begun again after another scan, which knows the
@@ -132,13 +132,15 @@ def _recover(
             finished = yield from _drive(hand, (robot, block, box), rig, policy, thread, s, m)
         yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
     except Blocked as blocked:
-        return Outcome(Ending.BLOCKED, str(blocked))
+        return SkillOutcome(SkillEnd.BLOCKED, str(blocked))
     except Stopped as stopped:
         yield from hand.back_off(above, s.approach_speed)
-        return Outcome(Ending.BLOCKED, str(stopped))
+        return SkillOutcome(SkillEnd.BLOCKED, str(stopped))
     if not finished:
-        return Outcome(Ending.TIMEOUT, f"in {s.max_decisions} decisions the policy did not say that {block} is free")
-    return Outcome(Ending.DONE)
+        return SkillOutcome(
+            SkillEnd.TIMEOUT, f"in {s.max_decisions} decisions the policy did not say that {block} is free"
+        )
+    return SkillOutcome(SkillEnd.DONE)
 
 
 def _drive(
@@ -154,12 +156,12 @@ def _drive(
     watch, scanned = Watch(m, rig), Scanned.of(hand.last.state, *objects[1:])
     chunks, thinking = Chunks(), _Thinking(policy, thread)
     z, height = hand.last.state.get(objects[1], "z", "size_z")
-    footing, astray, done_in_a_row = Footing(top=z + height / 2), False, 0
+    guard, astray, done_in_a_row = TipOverGuard(top=z + height / 2), False, 0
     for _ in range(s.max_decisions):
         goal = _reach(hand, objects, hand.position + from_hand(watch.step(chunks.next()), hand.yaw))
         if chunks.wanting and not thinking.busy:
             thinking.ask(*_observe(hand, goal, scanned, rig, policy.picture, watch))
-        if not (yield from press_on(hand, goal, DECISION_STEPS, footing)):
+        if not (yield from press_on(hand, goal, DECISION_STEPS, guard)):
             # What was wanted, and what is being thought, is of a block that stood.
             thinking.answer(hand.last.ready, wait=True)
             chunks, astray = Chunks(), True
@@ -175,7 +177,7 @@ def _drive(
                 over = _reach(hand, objects, hand.tip() + from_hand(beneath, hand.yaw))
                 over[2] = hand.position[2]
                 steps = DECISION_STEPS * _decisions(over - hand.position)
-                astray = not (yield from press_on(hand, over, steps, footing))
+                astray = not (yield from press_on(hand, over, steps, guard))
                 continue
             chunks.push(careful_steps(prediction)[0], late)
             done_in_a_row = done_in_a_row + 1 if says_done(prediction)[0] else 0

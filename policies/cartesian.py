@@ -12,10 +12,10 @@ from resync_robot.core import spatial
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
-from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.world import ArmObservation
 
-Motion = Generator[JointTarget, ArmObservation, Outcome]
+Motion = Generator[JointTarget, ArmObservation, SkillOutcome]
 Step = Generator[JointTarget, ArmObservation, None]
 
 YAW_SPEED = 1.2
@@ -37,9 +37,9 @@ class GeneratorPolicy:
     """Runs a motion one step at a time, behind `core.skill.Policy`."""
 
     motion: Motion
-    _waiting: JointTarget | Outcome | None = field(default=None)
+    _waiting: JointTarget | SkillOutcome | None = field(default=None)
 
-    def step(self, observation: ArmObservation) -> JointTarget | Outcome:
+    def step(self, observation: ArmObservation) -> JointTarget | SkillOutcome:
         if self._waiting is not None:
             first, self._waiting = self._waiting, None
             return first
@@ -48,7 +48,7 @@ class GeneratorPolicy:
         except StopIteration as ended:
             return ended.value
         except MotionError as error:
-            return Outcome(Ending.UNREACHABLE, error.what)
+            return SkillOutcome(SkillEnd.UNREACHABLE, error.what)
 
 
 def run_motion(motion: Motion, first: ArmObservation) -> GeneratorPolicy:
@@ -58,7 +58,7 @@ def run_motion(motion: Motion, first: ArmObservation) -> GeneratorPolicy:
     except StopIteration as ended:
         return GeneratorPolicy(motion, ended.value)
     except MotionError as error:
-        return GeneratorPolicy(motion, Outcome(Ending.UNREACHABLE, error.what))
+        return GeneratorPolicy(motion, SkillOutcome(SkillEnd.UNREACHABLE, error.what))
 
 
 class Hand:
@@ -79,7 +79,8 @@ class Hand:
         tip = rig.tip_pose(first.arm)
         self.position = tip[:3, 3].copy()
         self.yaw = float(np.arctan2(tip[1, 0], tip[0, 0]))
-        self.opening = first.told_opening  # Not where a block stopped the pads: told that, they would let go of it.
+        # Not where a block stopped the pads: commanded that, they would let go of it.
+        self.opening = first.commanded_opening
 
     @staticmethod
     def rotation(yaw: float) -> np.ndarray:

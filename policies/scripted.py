@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from resync_robot.core.rig import Rig
-from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.spatial import inverse, pose_from_features, wrap, yaw_of
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
@@ -94,17 +94,17 @@ def _pick(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scrip
         yield from hand.move(x, y, tip_z, yaw, s.descent_speed, max_force=s.touch_force)
     except Blocked as blocked:
         yield from hand.back_off(above, s.approach_speed)
-        return Outcome(Ending.BLOCKED, f"descending to {block}: {blocked}")
+        return SkillOutcome(SkillEnd.BLOCKED, f"descending to {block}: {blocked}")
     yield from hand.close(width - s.squeeze)
     try:
         yield from hand.move(x, y, above, yaw, s.approach_speed)
     except Blocked as blocked:
-        return Outcome(Ending.BLOCKED, f"lifting {block}: {blocked}")
+        return SkillOutcome(SkillEnd.BLOCKED, f"lifting {block}: {blocked}")
     if abs(hand.last.opening - width) > 0.008:
         gap = 1000 * hand.last.opening
         yield from hand.open(opening)
-        return Outcome(Ending.BLOCKED, f"the pads are {gap:.0f} mm apart, not on {block}")
-    return Outcome(Ending.DONE)
+        return SkillOutcome(SkillEnd.BLOCKED, f"the pads are {gap:.0f} mm apart, not on {block}")
+    return SkillOutcome(SkillEnd.DONE)
 
 
 def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: ScriptedSettings) -> Motion:
@@ -113,7 +113,7 @@ def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scr
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
     tip_T_held = _pose_in_hand(state, robot, held)
     if tip_T_held is None:
-        return Outcome(Ending.REFUSED, f"{held} is not in the hand")
+        return SkillOutcome(SkillEnd.REFUSED, f"{held} is not in the hand")
     width = float(state.get(held, "size_x", "size_y").max())
     x, y, z, base_height = state.get(base, "x", "y", "z", "size_z")
     seated = z + (base_height + state.get(held, "size_z")[0]) / 2
@@ -128,7 +128,7 @@ def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scr
 
     def back_off() -> Motion:
         yield from hand.back_off(above, s.approach_speed)
-        return Outcome(Ending.DONE)
+        return SkillOutcome(SkillEnd.DONE)
 
     try:
         yield from hand.retreat(above, s.approach_speed)
@@ -137,7 +137,7 @@ def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scr
         yield from hand.move(goal_x, goal_y, goal_z + 0.016, yaw, s.contact_speed, max_force=s.seat_force)
     except Blocked as blocked:
         yield from back_off()
-        return Outcome(Ending.BLOCKED, f"over {base}: {blocked}")
+        return SkillOutcome(SkillEnd.BLOCKED, f"over {base}: {blocked}")
     try:
         yield from hand.move(goal_x, goal_y, goal_z - 0.001, yaw, s.seat_speed, max_force=s.seat_force)
     except Blocked:
@@ -147,8 +147,8 @@ def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scr
     try:
         yield from hand.move(goal_x, goal_y, above, yaw, s.approach_speed)
     except Blocked as blocked:
-        return Outcome(Ending.BLOCKED, f"leaving {base}: {blocked}")
-    return Outcome(Ending.DONE)
+        return SkillOutcome(SkillEnd.BLOCKED, f"leaving {base}: {blocked}")
+    return SkillOutcome(SkillEnd.DONE)
 
 
 def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: ScriptedSettings) -> Motion:
@@ -157,7 +157,7 @@ def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scri
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
     tip_T_held = _pose_in_hand(state, robot, held)
     if tip_T_held is None:
-        return Outcome(Ending.REFUSED, f"{held} is not in the hand")
+        return SkillOutcome(SkillEnd.REFUSED, f"{held} is not in the hand")
     carried = carried_with(state, held)
     width = float(state.get(held, "size_x", "size_y").max())
     above = travel_height(state, carried=held)
@@ -165,7 +165,7 @@ def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scri
     block_to_tip = np.array([0.0, 0.0, state.get(held, "size_z")[0] / 2]) - hand.rotation(hand.yaw) @ tip_T_held[:3, 3]
     places = free_places(state, carried, width, hand.position[:2], lambda p: _reached(p + block_to_tip, above, hand))
     if not places:
-        return Outcome(Ending.REFUSED, f"no free place within reach to put {held} down")
+        return SkillOutcome(SkillEnd.REFUSED, f"no free place within reach to put {held} down")
     reason = ""
     for x, y, z in (place + block_to_tip for place in places[: s.places]):
         try:
@@ -185,9 +185,9 @@ def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scri
         try:
             yield from hand.move(x, y, above, hand.yaw, s.approach_speed)
         except Blocked as blocked:
-            return Outcome(Ending.BLOCKED, f"leaving {held}: {blocked}")
-        return Outcome(Ending.DONE)
-    return Outcome(Ending.BLOCKED, f"putting {held} down: {reason}")
+            return SkillOutcome(SkillEnd.BLOCKED, f"leaving {held}: {blocked}")
+        return SkillOutcome(SkillEnd.DONE)
+    return SkillOutcome(SkillEnd.BLOCKED, f"putting {held} down: {reason}")
 
 
 def _reached(tips: Places, above: float, hand: Hand) -> np.ndarray:

@@ -20,18 +20,18 @@ from typing import Any, TextIO, get_args, get_type_hints
 import tyro
 
 from resync_robot import __version__
-from resync_robot.calibrate import CalibrateConfig, calibrate
-from resync_robot.check_domain import CheckDomainConfig, check_domain
+from resync_robot.commands.calibrate import CalibrateConfig, calibrate
+from resync_robot.commands.check_domain import CheckDomainConfig, check_domain
+from resync_robot.commands.deploy import DeployConfig, deploy
+from resync_robot.commands.doctor import DoctorConfig, doctor
+from resync_robot.commands.emulate import EmulateConfig, emulate
+from resync_robot.commands.evaluate import EvaluateConfig, evaluate
+from resync_robot.commands.new_domain import NewDomainConfig, new_domain
+from resync_robot.commands.review import ReviewConfig, review
+from resync_robot.commands.train_sim import TrainConfig, train
 from resync_robot.core.errors import ConfigError, DiskError, ResyncError
 from resync_robot.core.files import disk_fault, packaged_rig
-from resync_robot.deploy import DeployConfig, deploy
-from resync_robot.doctor import DoctorConfig, doctor
-from resync_robot.emulate import EmulateConfig, emulate
-from resync_robot.evaluate import EvaluateConfig, evaluate
-from resync_robot.new_domain import NewDomainConfig, new_domain
-from resync_robot.review import ReviewConfig, review
 from resync_robot.signals import ended_by, number_of, raised, words_for
-from resync_robot.train import TrainConfig, train
 
 COMMANDS: dict[str, tuple[type, Callable[[Any], int | None]]] = {
     "train-sim": (TrainConfig, train),

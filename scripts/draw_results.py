@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from resync_robot.core.files import read_text, write_text
-from resync_robot.evaluation_report import wilson
-from resync_robot.plots import save_figure
+from resync_robot.core.intervals import wilson
+from resync_robot.figures import save_figure
 
 DOCS = Path(__file__).parents[1] / "docs"
 COLOURS = ("#1f6fb4", "#e08214", "#9a9a9a")

@@ -22,7 +22,7 @@ from resync_robot.sim_training.recovery import FailedWorlds, RecoverySettings, l
 from resync_robot.sim_training.vector_env import RecoveryScenes
 
 if TYPE_CHECKING:
-    from resync_robot.sim_training.maniskill_env import ManiSkillScenes
+    from resync_robot.sim_training.domains.cornered_insertion_s.maniskill_env import ManiSkillScenes
 
 
 class Scenes(Protocol):
@@ -132,7 +132,9 @@ def _make_scenes(
 ) -> RecoveryScenes | ManiSkillScenes:
     if device == "cpu":
         return RecoveryScenes(tasks, block, rig, count, workers)
-    from resync_robot.sim_training.maniskill_env import ManiSkillScenes  # its import takes seconds
+    from resync_robot.sim_training.domains.cornered_insertion_s.maniskill_env import (
+        ManiSkillScenes,  # its import takes seconds
+    )
 
     return ManiSkillScenes(tasks, block, rig, count, device)
 

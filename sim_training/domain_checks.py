@@ -22,7 +22,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Type
 from resync_robot.core.task import Domain, Sample, Task
 from resync_robot.planning.abstract import HOLDS, Abstraction
-from resync_robot.planning.execute import ExecuteSettings, Listener, Model, Result, plan_and_execute
+from resync_robot.planning.execute import EpisodeResult, ExecuteSettings, Listener, Model, plan_and_execute
 from resync_robot.planning.search import plan
 
 UNOBSTRUCTED, OBSTRUCTED = 0.95, 0.05
@@ -261,7 +261,7 @@ class _Touched(Listener):
         self.names |= {o.name for o, force in self._world.contacts().items() if force > 0}
 
 
-def _attempt(body: Embodiment, model: Model, task: Task) -> tuple[Result, set[str]]:
+def _attempt(body: Embodiment, model: Model, task: Task) -> tuple[EpisodeResult, set[str]]:
     world = body.simulate(task)
     touched = _Touched(world)
     return plan_and_execute(world, model, task.goal, ExecuteSettings(max_failures=1), touched), touched.names

@@ -23,7 +23,7 @@ from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
 from resync_robot.sim_training.mine import is_at_rest
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.physics.world import SimWorld
 
 WHEN = ("before", "after")
 REFERENCES = {"picked": "b0", "base": "b1", "bystander": "b2"}

@@ -11,7 +11,7 @@ import numpy as np
 
 from resync_robot.core.embodiment import Embodiment, Stage, TrainingSimulator
 from resync_robot.core.errors import TrainingError
-from resync_robot.core.skill import GroundSkill, Outcome
+from resync_robot.core.skill import GroundSkill, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
@@ -86,7 +86,7 @@ class _LastContacts(Listener):
     def on_control(self, observation: Any, action: Any) -> None:
         self._recent = [*self._recent, self._simulator.contacts()][-LATELY:]
 
-    def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
+    def on_skill_end(self, skill: GroundSkill, outcome: SkillOutcome) -> None:
         hardest: dict[Object, float] = {}
         for contacts in (*self._recent, self._simulator.contacts()):
             for obj, force in contacts.items():

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from resync_robot.core.rig import Rig
-from resync_robot.core.skill import GroundSkill, Outcome
+from resync_robot.core.skill import GroundSkill, SkillOutcome
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.core.trajectory import Trajectory
 from resync_robot.learning.failures import Failure, PairGaussian
 from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.physics.world import SimWorld
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class ContactMonitor(Listener):
                 if obj is not None:
                     self.peaks[obj] = max(self.peaks.get(obj, 0.0), force)
 
-    def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
+    def on_skill_end(self, skill: GroundSkill, outcome: SkillOutcome) -> None:
         if not outcome.done:
             self.failures.append(Failure(self._before, skill.name, skill.objects, dict(self.peaks)))
 

@@ -149,7 +149,7 @@ class _Worker:
             self._read(int(i))
 
     def _build(self, scene: int, task: int) -> None:
-        from resync_robot.sim_training.scene import build_scene
+        from resync_robot.sim_training.physics.scene import build_scene
 
         built = build_scene(self.tasks[task], self.rig, rendered=False)
         built.set_torque_limits(RECOVERY_TORQUE)

@@ -12,19 +12,20 @@ import numpy as np
 import torch
 from safetensors.numpy import save_file
 
+from resync_robot.core.files import write_json
 from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.core.trajectory import Trajectory, Transition, write_trajectories
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
-from resync_robot.knowledge import shipped_library
+from resync_robot.curriculum.run_folder import RunFolder
+from resync_robot.curriculum.run_settings import RunSettings
+from resync_robot.curriculum.stage_files import Mined
+from resync_robot.curriculum.stages import CHUNK, PRESETS
 from resync_robot.learning.failures import Culprit
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, ActorCritic
-from resync_robot.run_folder import RunFolder, write_json
-from resync_robot.run_settings import RunSettings
+from resync_robot.library_models import shipped_library
 from resync_robot.sim_training import ppo
 from resync_robot.sim_training.domains import find_domain, world_task
-from resync_robot.stage_files import Mined
-from resync_robot.stages import CHUNK, PRESETS
 from tests.libraries import DOMAIN, gaussians_of
 
 POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"

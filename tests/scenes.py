@@ -12,7 +12,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
-from resync_robot.sim_training.domains.corner import RELATIONS
+from resync_robot.sim_training.domains.cornered_insertion_s.corner import RELATIONS
 
 FLOOR = 0.005
 """Height of the box floor's upper face over the table, m."""

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from resync_robot import __version__, cli
-from resync_robot.calibrate import CalibrateConfig
-from resync_robot.check_domain import CheckDomainConfig
+from resync_robot.commands.calibrate import CalibrateConfig
+from resync_robot.commands.check_domain import CheckDomainConfig
+from resync_robot.commands.doctor import DoctorConfig
+from resync_robot.commands.evaluate import EvaluateConfig
+from resync_robot.commands.new_domain import NewDomainConfig
+from resync_robot.commands.review import ReviewConfig
+from resync_robot.commands.train_sim import QUICK_MINUTES, TrainConfig
 from resync_robot.core.errors import ConfigError, DiskError
-from resync_robot.doctor import DoctorConfig
-from resync_robot.evaluate import EvaluateConfig
-from resync_robot.new_domain import NewDomainConfig
-from resync_robot.review import ReviewConfig
-from resync_robot.train import QUICK_MINUTES, TrainConfig
 
 
 @pytest.fixture
@@ -271,7 +271,7 @@ def test_the_module_runs_as_the_command_does() -> None:
     assert outcome.stdout == f"resync-robot {__version__}\n"
 
 
-REPORTS = "from resync_robot.progress import say; [say('a line') for _ in range(3)]"
+REPORTS = "from resync_robot.console import say; [say('a line') for _ in range(3)]"
 PRINTS = "[print('a line' * 1000) for _ in range(30)]"
 
 
@@ -351,7 +351,7 @@ def test_a_full_disk_is_one_message_and_code_3(given, tmp_path: Path, capsys: py
 
 def test_every_sign_is_printed_in_every_encoding(tmp_path: Path) -> None:
     helped = "import sys; from resync_robot.cli import main; sys.exit(main(['deploy', '--help']))"
-    said = doctor_that(r"from resync_robot.progress import say; say('\u25c0 \udcff'); print('\u2022')")
+    said = doctor_that(r"from resync_robot.console import say; say('\u25c0 \udcff'); print('\u2022')")
     for code in (helped, said):
         for encoding in ("ascii", "iso-8859-1", "utf-8"):
             assert printed_to(str(tmp_path / "out"), code, PYTHONIOENCODING=encoding) == (0, b"")

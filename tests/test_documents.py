@@ -73,7 +73,7 @@ def test_the_readme_describes_every_scenario() -> None:
 
 
 def test_the_actions_that_are_shown_are_those_of_the_shipped_library() -> None:
-    from resync_robot.knowledge import shipped_library
+    from resync_robot.library_models import shipped_library
 
     shipped = " ".join((shipped_library("cornered-insertion-s") / "domain.pddl").read_text("utf-8").split())
     actions = [f"(:action {words}" for words in _block(DOCS / "method.md", "lisp").split("(:action ")[1:]]

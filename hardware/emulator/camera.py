@@ -5,7 +5,7 @@ from __future__ import annotations
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Window
 from resync_robot.hardware.base import Connected, Robot
-from resync_robot.hardware.emulator.lab import LabClient
+from resync_robot.hardware.emulator.lab_client import LabClient
 
 
 class EmulatedCamera(Connected):

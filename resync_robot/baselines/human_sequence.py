@@ -13,7 +13,7 @@ from resync_robot.core.symbols import Atoms, Object
 from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import World
 from resync_robot.planning.atom_beliefs import AtomBeliefs
-from resync_robot.planning.execute import End, Listener, Model, Result, run_skill
+from resync_robot.planning.execute import EpisodeEnd, EpisodeResult, Listener, Model, run_skill
 
 Expert = Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
 """(the state as first perceived, goal) -> (skill name, objects) in order; a domain's `expert`."""
@@ -21,7 +21,7 @@ Expert = Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
 
 def run_human_sequence(
     world: World, model: Model, goal: Atoms, expert: Expert, listener: Listener | None = None
-) -> Result:
+) -> EpisodeResult:
     """Run every skill of the expert's sequence once; look before the first and after each.
 
     The sequence is that for the scene as it is first perceived. A skill that does not end done ends the episode. As
@@ -48,9 +48,9 @@ def run_human_sequence(
         if not outcome.done:
             reason = f"{ground} did not do what it should ({outcome.ending.value}: {outcome.reason})"
             break
-    end, reason = (End.GOAL, "") if goal <= atoms else (End.STUCK, reason)
+    end, reason = (EpisodeEnd.GOAL, "") if goal <= atoms else (EpisodeEnd.STUCK, reason)
     listener.on_end(end, reason)
-    return Result(end, reason, tuple(transitions), (), state)
+    return EpisodeResult(end, reason, tuple(transitions), (), state)
 
 
 def _look(world: World, model: Model, listener: Listener) -> tuple[State, Atoms]:

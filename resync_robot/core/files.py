@@ -286,3 +286,32 @@ def _same(a: Path, b: Path) -> bool:
 def _other(path: Path, kind: FileKind) -> str:
     other = path.with_suffix(kind.suffix)
     return str(other if not other.exists() else path.with_name(f"{path.stem}-2{kind.suffix}"))
+
+
+def read_json(path: Path) -> Any:
+    """The file's content, or None where there is no such file. Raises ConfigError on a broken one."""
+    if not path.exists():
+        return None
+    try:
+        return json.loads(read_text(path))
+    except ValueError as error:
+        raise ConfigError(f"{path} is no valid JSON: {error}", "remove it, or start a new run") from None
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Replace the file, whole or not at all. Raises OSError."""
+    write_text(path, json.dumps(data, indent=2, sort_keys=True) + "\n")
+
+
+def check_folder(path: Path, of: Path | None = None) -> None:
+    """Make the folder `path`, a part of `of`, and be sure that files can be written to it.
+
+    Raises:
+        ConfigError: they cannot.
+        DiskError: the same, where the disk is to blame.
+    """
+    try:
+        with new_beside(path / "probe"):
+            pass
+    except OSError as error:
+        raise unwritable(f"to {of or path}", error, "give another folder with --out") from None

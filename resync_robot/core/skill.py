@@ -12,7 +12,7 @@ from resync_robot.core.symbols import Object, Type
 from resync_robot.core.world import Observation
 
 
-class Ending(Enum):
+class SkillEnd(Enum):
     """Why a skill stopped."""
 
     DONE = "done"
@@ -27,15 +27,15 @@ class Ending(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class SkillOutcome:
     """How a skill ended, and in which words to report it."""
 
-    ending: Ending
+    ending: SkillEnd
     reason: str = ""
 
     @property
     def done(self) -> bool:
-        return self.ending is Ending.DONE
+        return self.ending is SkillEnd.DONE
 
 
 ObservationT_contra = TypeVar("ObservationT_contra", bound=Observation, contravariant=True)
@@ -47,7 +47,7 @@ ActionT = TypeVar("ActionT")
 class Policy(Protocol[ObservationT_contra, ActionT_co]):
     """One run of a ground skill. A new object for each run, so that no state leaks from one to the next."""
 
-    def step(self, observation: ObservationT_contra, /) -> ActionT_co | Outcome:
+    def step(self, observation: ObservationT_contra, /) -> ActionT_co | SkillOutcome:
         """The next action, or how the skill ended."""
         ...
 

@@ -111,7 +111,7 @@ class ArmObservation(Observation):
         arm: (6,) measured joint positions, rad, order of ARM_JOINTS.
         arm_velocity: (6,) rad/s.
         opening: measured free distance between the pads, m.
-        told_opening: what the pads were last told, m: less than `opening` by what makes them hold a block.
+        commanded_opening: what the pads were last told, m: less than `opening` by what makes them hold a block.
         tip_force: (3,) force that the world exerts on the hand, N, world frame, estimated.
         look: takes pictures, where the world has cameras that a skill may look through while it runs.
     """
@@ -119,7 +119,7 @@ class ArmObservation(Observation):
     arm: Float[np.ndarray, "6"]
     arm_velocity: Float[np.ndarray, "6"]
     opening: float
-    told_opening: float
+    commanded_opening: float
     tip_force: Float[np.ndarray, "3"]
     look: Look | None = None
 

@@ -8,7 +8,7 @@ from resync_robot.core.embodiment import Embodiment
 from resync_robot.core.library import Library, Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.task import Domain
-from resync_robot.knowledge import embodiment_of, initial_model, learned_model, recovery_of
+from resync_robot.library_models import embodiment_of, initial_model, learned_model, recovery_of
 from resync_robot.planning.execute import Model
 from resync_robot.sim_training.domains import find_domain
 

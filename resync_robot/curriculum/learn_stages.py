@@ -18,16 +18,16 @@ from resync_robot.core.trajectory import Trajectory
 from resync_robot.curriculum.context import Known
 from resync_robot.curriculum.dream import dream, earlier_dreams
 from resync_robot.curriculum.mine import mine
+from resync_robot.curriculum.plots import draw_learning_curve
 from resync_robot.curriculum.presets import STAGE_PRESETS, StagePreset
 from resync_robot.curriculum.recover import check, recover
+from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
-from resync_robot.knowledge import known_concepts, make_library
 from resync_robot.learning.concepts import learn_concepts
 from resync_robot.learning.dataset import StageData
 from resync_robot.learning.failures import FailureModel
 from resync_robot.learning.model import Concepts
-from resync_robot.plots import draw_learning_curve
-from resync_robot.run_folder import RunFolder
+from resync_robot.library_models import known_concepts, make_library
 
 STEPS = ("mine", "recover", "check", "dream", "discover", "save")
 TRAINING_SEEDS = 1_000_000

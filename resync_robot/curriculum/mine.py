@@ -12,13 +12,13 @@ import numpy as np
 from resync_robot.core.damage import Shape, check_shape, reading
 from resync_robot.core.embodiment import Stage
 from resync_robot.core.errors import TrainingError
+from resync_robot.core.files import read_json, write_json
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.curriculum.context import Context, Known
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.failures import PairGaussian, fit_beside
-from resync_robot.run_folder import read_json, write_json
 from resync_robot.sim_training.failure_mining import Explanation, FailedAttempt, attempt, explain
 from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.recovery_env import Start

@@ -12,7 +12,7 @@ from safetensors.numpy import load_file, save_file
 from resync_robot.core.damage import Shape, check_shape, reading
 from resync_robot.core.embodiment import Stage
 from resync_robot.core.errors import TrainingError
-from resync_robot.core.files import whole
+from resync_robot.core.files import read_json, whole, write_json
 from resync_robot.core.library import Record
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
@@ -23,7 +23,6 @@ from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.failures import PairGaussian, fit_beside
 from resync_robot.learning.learned_recovery import LearnedRecovery
 from resync_robot.planning.execute import run_skill
-from resync_robot.run_folder import read_json, write_json
 from resync_robot.sim_training.failure_mining import Explanation
 from resync_robot.sim_training.learn_recovery import learn_recovery, pose_problem
 from resync_robot.sim_training.parallel import parallel_map

@@ -7,7 +7,7 @@ from typing import Any
 
 from resync_robot.core.library import LearnedStage, Library
 from resync_robot.core.task import Domain
-from resync_robot.knowledge import known_concepts
+from resync_robot.library_models import known_concepts
 from resync_robot.planning.pddl import operator_to_pddl
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from resync_robot.core.damage import check_folder_kind
-from resync_robot.run_folder import RunFolder, check_folder
+from resync_robot.core.files import check_folder
+from resync_robot.curriculum.run_folder import RunFolder
 
 Tell = Callable[[float, str], None]
 """Called with the share of a step that is done and the figure that matters."""

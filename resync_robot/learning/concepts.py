@@ -21,11 +21,11 @@ from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Type, 
 from resync_robot.learning.classifiers import NeuralClassifier
 from resync_robot.learning.dataset import Dataset, StageData, Step, merged_dataset, variant_dataset, variant_name
 from resync_robot.learning.effects import Candidate, affordances, candidates, supervise
-from resync_robot.learning.experience import experience
 from resync_robot.learning.features import gather
 from resync_robot.learning.fit import COMPACT, PAPER, SCREENING, Fit, FitConfig, fit
 from resync_robot.learning.model import Concepts, GivenModel, assemble, known_model, quantifications
 from resync_robot.learning.operators import Evidence, OperatorConfig, evidence, explained_failures
+from resync_robot.learning.outcome_counts import experience
 from resync_robot.learning.select import PAPER_J, Concept, SelectConfig, Selector, select
 from resync_robot.learning.tuning import TuneConfig, tune_known
 from resync_robot.planning.abstract import HOLDS, Abstraction, Form, Not

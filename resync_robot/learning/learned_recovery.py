@@ -14,7 +14,7 @@ from resync_robot.core.embodiment import Embodiment
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import RETRAIN, Record
 from resync_robot.core.relations import Relations
-from resync_robot.core.skill import Ending, Outcome, Policy, Skill
+from resync_robot.core.skill import Policy, Skill, SkillEnd, SkillOutcome
 from resync_robot.core.symbols import Object, Type
 from resync_robot.core.world import Observation
 from resync_robot.learning.recovery_policy import ActorCritic
@@ -131,18 +131,18 @@ class _Run:
         if not self._begun or not self._approaching:
             self._begun = True
             if float(self._recovery.done.probability(seen)) > SURE:
-                return Outcome(Ending.DONE)
+                return SkillOutcome(SkillEnd.DONE)
         if self._approaching:
             answer = self._failed.step(observation)
             self._longest -= 1
             # To run out of its time is one of the ways in which it fails.
-            if not isinstance(answer, Outcome) and self._longest > 0:
+            if not isinstance(answer, SkillOutcome) and self._longest > 0:
                 return answer
-            if isinstance(answer, Outcome) and answer.done:
-                return Outcome(Ending.REFUSED, f"{self._recovery.failed_skill} does not fail here")
+            if isinstance(answer, SkillOutcome) and answer.done:
+                return SkillOutcome(SkillEnd.REFUSED, f"{self._recovery.failed_skill} does not fail here")
             self._approaching = False
         if self._steps >= self._recovery.horizon:
-            return Outcome(Ending.TIMEOUT, f"not done after {self._steps} actions")
+            return SkillOutcome(SkillEnd.TIMEOUT, f"not done after {self._steps} actions")
         self._steps += 1
         with torch.no_grad():
             action = self._recovery.policy.act(seen)[0].clamp(-1, 1).double().numpy()

@@ -56,7 +56,7 @@ class Concepts:
         report: what was tried, kept and why; plain data. `affordances_of[skill]` lists {"predicate", "argument"}: the
             learned predicates that the skill needs, that which excludes most of its failures first, and which of the
             skill's parameters each is about. After the skill failed on an object, one of these atoms is to be held
-            false until a recovery. `experience` is that of `learning.experience`.
+            false until a recovery. `experience` is that of `learning.outcome_counts`.
     """
 
     predicates: tuple[Predicate, ...]

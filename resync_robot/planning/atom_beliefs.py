@@ -20,7 +20,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator
 from resync_robot.planning.abstract import HOLDS
 from resync_robot.planning.outcome_costs import OutcomeCosts
@@ -77,7 +77,7 @@ class AtomBeliefs:
         for atom, evidence in list(self._evidence.items()):
             self._set(atom, evidence * (1.0 if changed.isdisjoint(atom.args) else self._settings.memory))
 
-    def attempted(self, step: GroundOperator, outcome: Outcome, probabilities: Mapping[Atom, float]) -> bool:
+    def attempted(self, step: GroundOperator, outcome: SkillOutcome, probabilities: Mapping[Atom, float]) -> bool:
         """Take in how a step went, and the look after it.
 
         Returns:
@@ -92,11 +92,11 @@ class AtomBeliefs:
         self._blame(before, success, came_true, step)
         return came_true
 
-    def _expect(self, step: GroundOperator, outcome: Outcome, success: float) -> None:
+    def _expect(self, step: GroundOperator, outcome: SkillOutcome, success: float) -> None:
         """What the step brings about is so with the probability of its success, or was so before, given its word."""
         for atom in step.delete - step.add:
             self._evidence.pop(atom, None)
-        if outcome.ending is Ending.REFUSED:
+        if outcome.ending is SkillEnd.REFUSED:
             return
         trust = self._settings.word / (1 - self._settings.word)
         for atom in self._learned(step.add):

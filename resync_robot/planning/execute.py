@@ -13,16 +13,16 @@ from enum import Enum
 from typing import Any, Protocol
 
 from resync_robot.core.errors import InterruptedMotionError, PlanningError, UnknownNameError
-from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
+from resync_robot.core.skill import GroundSkill, Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator
 from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import EffortLimited, Observation, World
 from resync_robot.planning.abstract import HOLDS, Abstraction
 from resync_robot.planning.atom_beliefs import AtomBeliefs, BeliefSettings
+from resync_robot.planning.effect_hypotheses import plan_or_suppose
 from resync_robot.planning.outcome_costs import OutcomeCosts
 from resync_robot.planning.search import Plan, plan
-from resync_robot.planning.suppose import plan_or_suppose
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Reaction(Protocol):
     def __call__(self, failed: GroundSkill, state: State) -> GroundSkill | None: ...
 
 
-class End(Enum):
+class EpisodeEnd(Enum):
     GOAL = "goal"
     NO_PLAN = "no plan"
     STUCK = "stuck"
@@ -69,10 +69,10 @@ class End(Enum):
 
 
 @dataclass(frozen=True)
-class Result:
+class EpisodeResult:
     """How an episode ended, and every attempt it made."""
 
-    end: End
+    end: EpisodeEnd
     reason: str
     transitions: tuple[Transition, ...]
     plans: tuple[Plan, ...]
@@ -80,7 +80,7 @@ class Result:
 
     @property
     def success(self) -> bool:
-        return self.end is End.GOAL
+        return self.end is EpisodeEnd.GOAL
 
 
 class Listener:
@@ -96,12 +96,12 @@ class Listener:
 
     def on_control(self, observation: Observation, action: Any) -> None: ...
 
-    def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None: ...
+    def on_skill_end(self, skill: GroundSkill, outcome: SkillOutcome) -> None: ...
 
     def on_effects_missing(self, step: GroundOperator) -> None:
         """What was perceived after the step says that it did not do what it should, whatever its skill said."""
 
-    def on_end(self, end: End, reason: str) -> None: ...
+    def on_end(self, end: EpisodeEnd, reason: str) -> None: ...
 
     def confirm(self, step: GroundOperator) -> bool:
         """May this step run? Asked before each one."""
@@ -133,7 +133,7 @@ def plan_and_execute(
     settings: ExecuteSettings | None = None,
     listener: Listener | None = None,
     reaction: Reaction | None = None,
-) -> Result:
+) -> EpisodeResult:
     """Reach `goal` in `world` with what `model` knows: the paper's Plan_f."""
     s, listener = settings or ExecuteSettings(), listener or Listener()
     run = _Episode(world, model, goal, s, listener)
@@ -142,25 +142,25 @@ def plan_and_execute(
     run.look()
     while True:
         if goal <= run.beliefs.certain():
-            return run.ended(End.GOAL)
+            return run.ended(EpisodeEnd.GOAL)
         try:
             found = run.plan(reason)
         except PlanningError as error:
-            return run.ended(End.NO_PLAN, error.what)
+            return run.ended(EpisodeEnd.NO_PLAN, error.what)
         if not found.steps:
-            return run.ended(End.GOAL, "as far as can be told: not all of it is certain")
+            return run.ended(EpisodeEnd.GOAL, "as far as can be told: not all of it is certain")
         if s.plan_only:
-            return run.ended(End.PLANNED, f"{len(found.steps)} steps")
+            return run.ended(EpisodeEnd.PLANNED, f"{len(found.steps)} steps")
         reason = "the plan ended short of the goal"
         for index, step in enumerate(found.steps):
             if missing := step.preconditions - run.atoms:
                 reason = f"{step} needs {', '.join(map(str, sorted(missing)))}"
                 break
             if limit := run.limit_reached():
-                return run.ended(End.EXHAUSTED, limit)
+                return run.ended(EpisodeEnd.EXHAUSTED, limit)
             listener.on_step_of_plan(index)
             if not listener.confirm(step):
-                return run.ended(End.STOPPED, f"{step} was declined")
+                return run.ended(EpisodeEnd.STOPPED, f"{step} was declined")
             outcome, came_true = run.attempt(step)
             if came_true:
                 continue
@@ -169,7 +169,7 @@ def plan_and_execute(
             reason = f"{step} did not do what it should ({outcome.ending.value}: {words})"
             failures[str(step)] += 1
             if failures[str(step)] >= s.max_failures:
-                return run.ended(End.STUCK, reason)
+                return run.ended(EpisodeEnd.STUCK, reason)
             failed = model.skill(step.name).ground(step.objects)
             if reaction and (recovery := reaction(failed, run.state)) is not None:
                 run.react(recovery)
@@ -245,7 +245,7 @@ class _Episode:
             return f"{self._steps} control steps were taken"
         return ""
 
-    def attempt(self, step: GroundOperator) -> tuple[Outcome, bool]:
+    def attempt(self, step: GroundOperator) -> tuple[SkillOutcome, bool]:
         """Run a step, look, and learn from the outcome; also whether its effects came true."""
         before = self.state
         outcome = self._run(self._model.skill(step.name).ground(step.objects))
@@ -262,15 +262,15 @@ class _Episode:
         self.look()
         self._transitions.append(Transition(before, recovery.name, recovery.objects, self.state, outcome.done))
 
-    def _run(self, ground: GroundSkill) -> Outcome:
+    def _run(self, ground: GroundSkill) -> SkillOutcome:
         horizon = self._settings.horizon
         outcome, steps = _run(self._world, ground, self._listener, None if horizon is None else horizon - self._steps)
         self._steps += steps
         return outcome
 
-    def ended(self, end: End, why: str = "") -> Result:
+    def ended(self, end: EpisodeEnd, why: str = "") -> EpisodeResult:
         self._listener.on_end(end, why)
-        return Result(end, why, tuple(self._transitions), tuple(self._plans), self.state)
+        return EpisodeResult(end, why, tuple(self._transitions), tuple(self._plans), self.state)
 
 
 def begin_after(
@@ -295,7 +295,7 @@ def begin_after(
     )
 
 
-def run_skill(world: World, ground: GroundSkill, listener: Listener | None = None) -> Outcome:
+def run_skill(world: World, ground: GroundSkill, listener: Listener | None = None) -> SkillOutcome:
     """Run one ground skill to its end or its time limit.
 
     The limit counts control steps: a robot that runs at a fraction of full speed stretches them on its own clock, and
@@ -304,7 +304,7 @@ def run_skill(world: World, ground: GroundSkill, listener: Listener | None = Non
     return _run(world, ground, listener or Listener())[0]
 
 
-def _run(world: World, ground: GroundSkill, listener: Listener, most: int | None = None) -> tuple[Outcome, int]:
+def _run(world: World, ground: GroundSkill, listener: Listener, most: int | None = None) -> tuple[SkillOutcome, int]:
     """`run_skill` with at most so many control steps; also how many there were."""
     skill = ground.skill
     listener.on_skill_start(ground)
@@ -316,21 +316,21 @@ def _run(world: World, ground: GroundSkill, listener: Listener, most: int | None
     steps = 0
     while True:
         answer = policy.step(observation)
-        if isinstance(answer, Outcome):
+        if isinstance(answer, SkillOutcome):
             break
         if most is not None and steps >= most:
-            answer = Outcome(Ending.TIMEOUT, "the episode's horizon is reached")
+            answer = SkillOutcome(SkillEnd.TIMEOUT, "the episode's horizon is reached")
             break
         listener.on_control(observation, answer)
         try:
             world.act(answer, 1.0 / skill.rate_hz)
         except InterruptedMotionError as error:
-            answer = Outcome(Ending.BLOCKED, error.what)
+            answer = SkillOutcome(SkillEnd.BLOCKED, error.what)
             break
         steps += 1
         observation = world.observe(skill.live_state)
         if steps > skill.time_limit_s * skill.rate_hz:
-            answer = Outcome(Ending.TIMEOUT, f"not done after {skill.time_limit_s:.0f} s")
+            answer = SkillOutcome(SkillEnd.TIMEOUT, f"not done after {skill.time_limit_s:.0f} s")
             break
     if arm is not None:
         arm.limit_effort(None)

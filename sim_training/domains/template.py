@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from resync_robot.core.embodiment import Embodiment, Stage
-from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import ROUND, SE2, Object, Operator, Predicate, Type, Variable
 from resync_robot.core.task import Domain, Scenario, Task
@@ -125,15 +125,15 @@ class GoTo:
     def __init__(self, objects: tuple[Object, ...], first: Observation) -> None:
         self._objects, self._last, self._held_up = objects, np.full(2, np.inf), 0
 
-    def step(self, seen: Observation) -> np.ndarray | Outcome:
+    def step(self, seen: Observation) -> np.ndarray | SkillOutcome:
         robot, flag = self._objects
         here, way = seen.state[robot][:2], seen.state[flag][:2] - seen.state[robot][:2]
         far = float(np.hypot(*way))
         if far < 0.01:
-            return Outcome(Ending.DONE)
+            return SkillOutcome(SkillEnd.DONE)
         self._held_up = self._held_up + 1 if math.dist(here, self._last) < 0.001 else 0
         if self._held_up > 3:
-            return Outcome(Ending.BLOCKED, "something is in the way")
+            return SkillOutcome(SkillEnd.BLOCKED, "something is in the way")
         self._last = here
         return way / far * min(GENTLE, far * RATE_HZ)
 

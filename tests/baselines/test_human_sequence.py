@@ -6,14 +6,14 @@ import pytest
 
 from resync_robot.baselines.human_sequence import Expert, run_human_sequence
 from resync_robot.core.errors import UnknownNameError
-from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms
-from resync_robot.planning.execute import End
+from resync_robot.planning.execute import EpisodeEnd
 from tests.planning.kitchen import FULL, A, B, Kitchen, Notes, kitchen, model, nothing, setting
 
 GOAL = frozenset({FULL(A)})
-BLOCKED = Outcome(Ending.BLOCKED, "a wall")
+BLOCKED = SkillOutcome(SkillEnd.BLOCKED, "a wall")
 
 
 def says(*names: str) -> Expert:
@@ -24,7 +24,7 @@ def says(*names: str) -> Expert:
 def test_every_skill_is_run_once_in_order_with_a_look_before_and_after_each() -> None:
     world, notes = kitchen(), Notes()
     result = run_human_sequence(world, model(world), GOAL, says("Unlid", "Wipe", "Fill"), notes)
-    assert (result.end, result.reason, result.plans) == (End.GOAL, "", ())
+    assert (result.end, result.reason, result.plans) == (EpisodeEnd.GOAL, "", ())
     assert [h for h in notes.heard if h != "control"] == [
         "perceived",
         *("start Unlid(a)", "end Unlid(a) done", "perceived"),
@@ -44,7 +44,7 @@ def test_a_skill_that_is_not_done_ends_the_episode() -> None:
     result = run_human_sequence(
         world, model(world, Wipe=(nothing, BLOCKED)), GOAL, says("Unlid", "Wipe", "Fill"), notes
     )
-    assert (result.end, result.success) == (End.STUCK, False)
+    assert (result.end, result.success) == (EpisodeEnd.STUCK, False)
     assert result.reason == "Wipe(a) did not do what it should (blocked: a wall)"
     assert [(t.skill, t.succeeded) for t in result.transitions] == [("Unlid", True), ("Wipe", False)]
     assert notes.heard[-2:] == ["perceived", "over: stuck"]
@@ -54,7 +54,7 @@ def test_a_skill_that_is_not_done_ends_the_episode() -> None:
 def test_a_sequence_that_ends_short_of_the_goal_fails(names: tuple[str, ...]) -> None:
     world = kitchen()
     result = run_human_sequence(world, model(world), GOAL, says(*names))
-    assert (result.end, result.reason) == (End.STUCK, "the sequence ended short of the goal")
+    assert (result.end, result.reason) == (EpisodeEnd.STUCK, "the sequence ended short of the goal")
     assert len(result.transitions) == len(names)
 
 
@@ -62,15 +62,15 @@ def test_what_holds_in_the_end_decides_as_it_does_for_a_planner() -> None:
     world = kitchen(open="a", clean="a")
     # Full, though the hand was held up on its way back.
     result = run_human_sequence(world, model(world, Fill=(setting("full"), BLOCKED)), GOAL, says("Fill"))
-    assert (result.end, result.reason) == (End.GOAL, "")
+    assert (result.end, result.reason) == (EpisodeEnd.GOAL, "")
     assert not result.transitions[0].succeeded
 
 
 def test_a_skill_is_not_tried_again_where_its_effect_is_missing() -> None:
     world = kitchen(open="a", clean="a")
-    fills = model(world, Fill=(nothing, Outcome(Ending.DONE)))
+    fills = model(world, Fill=(nothing, SkillOutcome(SkillEnd.DONE)))
     result = run_human_sequence(world, fills, GOAL, says("Fill"))
-    assert result.end is End.STUCK
+    assert result.end is EpisodeEnd.STUCK
     assert len(result.transitions) == 1
 
 

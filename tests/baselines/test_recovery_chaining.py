@@ -10,9 +10,9 @@ from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import Record
 from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import GroundSkill
-from resync_robot.knowledge import model_with_recovery
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE
 from resync_robot.learning.terminals import train_terminal
+from resync_robot.library_models import model_with_recovery
 from resync_robot.sim_training.domains import find_domain
 from tests import scenes
 from tests.libraries import DOMAIN, recovery_record

@@ -17,15 +17,15 @@ from pathlib import Path
 from shutil import copytree
 from tempfile import TemporaryDirectory
 
+from resync_robot.core.intervals import wilson
 from resync_robot.core.library import load_library
-from resync_robot.distil import SHARD, DistilPlan, distil, make_context
-from resync_robot.evaluation_report import wilson
-from resync_robot.run_folder import RunFolder
-from resync_robot.sim_training.demos.rollouts import try_student
-from resync_robot.sim_training.demos.starts import draw_start
+from resync_robot.curriculum.distil import SHARD, DistilPlan, distil, make_context
+from resync_robot.curriculum.run_folder import RunFolder
+from resync_robot.sim_training.demonstrations.rollouts import try_student
+from resync_robot.sim_training.demonstrations.starts import draw_start
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
-from resync_robot.sim_training.randomise import PICTURED, PRACTICE, UNSEEN
+from resync_robot.sim_training.physics.randomise import PICTURED, PRACTICE, UNSEEN
 from resync_robot.sim_training.recovery import RecoverySettings
 from tests.libraries import gaussians_of
 

@@ -17,20 +17,20 @@ from itertools import permutations
 
 import numpy as np
 
+from resync_robot.core.intervals import wilson
 from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.core.vocabulary import BLOCK
-from resync_robot.evaluation_report import wilson
-from resync_robot.knowledge import shipped_library
 from resync_robot.learning.camera_view import VIEWS
 from resync_robot.learning.failures import PairGaussian
+from resync_robot.library_models import shipped_library
 from resync_robot.perception.catalogue import Catalogue
 from resync_robot.policies.camera_order import SIZE, exchanged, foretell, support
-from resync_robot.sim_training.demos.recoveries import RenderedRecovery
-from resync_robot.sim_training.demos.starts import draw_start
+from resync_robot.sim_training.demonstrations.recoveries import RenderedRecovery
+from resync_robot.sim_training.demonstrations.starts import draw_start
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
-from resync_robot.sim_training.randomise import LOOKS
+from resync_robot.sim_training.physics.randomise import LOOKS
 from tests.libraries import gaussians_of
 
 FRESH = 960_000_000

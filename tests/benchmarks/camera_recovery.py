@@ -20,18 +20,18 @@ from pathlib import Path
 
 import numpy as np
 
+from resync_robot.core.intervals import wilson
 from resync_robot.core.library import Library, Record, load_library
 from resync_robot.core.rig import load_rig
-from resync_robot.evaluation_report import wilson
 from resync_robot.learning.camera_view import STATE_NAMES, VIEWS, CameraPolicy
 from resync_robot.learning.failures import PairGaussian
-from resync_robot.sim_training.demos.rollouts import RolloutSettings, Teacher, demonstrate, try_student
-from resync_robot.sim_training.demos.starts import draw_start
+from resync_robot.sim_training.demonstrations.rollouts import RolloutSettings, Teacher, demonstrate, try_student
+from resync_robot.sim_training.demonstrations.starts import draw_start
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
-from resync_robot.sim_training.randomise import LOOKS
+from resync_robot.sim_training.physics.randomise import LOOKS
+from resync_robot.sim_training.physics.solver import REFERENCE, with_solver
 from resync_robot.sim_training.recovery import RecoverySettings
-from resync_robot.sim_training.solver import REFERENCE, with_solver
 from tests.libraries import gaussians_of
 
 FRESH = 950_000_000
@@ -42,7 +42,7 @@ ALONE = RolloutSettings(burst_probability=0.0)
 
 def _context(path: Path) -> tuple[Library, Teacher, CameraPolicy, dict[str, PairGaussian]]:
     from resync_robot.policies.diffusion import load_student
-    from resync_robot.policies.neural import recovery_nets
+    from resync_robot.policies.state_recovery import recovery_nets
 
     library = load_library(path)
     domain = find_domain(library.domain)

@@ -21,9 +21,9 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.symbols import Operator
 from resync_robot.core.trajectory import read_trajectories
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT, TYPES
-from resync_robot.knowledge import make_library
 from resync_robot.learning.concepts import learn_concepts
 from resync_robot.learning.dataset import StageData
+from resync_robot.library_models import make_library
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
 

@@ -18,8 +18,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from resync_robot.core.library import load_library
-from resync_robot.distil import PLANS, distil
-from resync_robot.run_folder import RunFolder
+from resync_robot.curriculum.distil import PLANS, distil
+from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.sim_training.domains import find_domain
 from tests.libraries import gaussians_of
 

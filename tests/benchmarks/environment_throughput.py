@@ -30,7 +30,7 @@ from resync_robot.core.vocabulary import BLOCK
 from resync_robot.learning import recovery_policy as view
 from resync_robot.sim_training.block_recovery import Scenes
 from resync_robot.sim_training.domains import find_domain
-from resync_robot.sim_training.maniskill_env import CorneredInsertionEnv, ManiSkillScenes
+from resync_robot.sim_training.domains.cornered_insertion_s.maniskill_env import CorneredInsertionEnv, ManiSkillScenes
 from resync_robot.sim_training.recovery import FailedWorlds, RecoverySettings, reward
 from resync_robot.sim_training.vector_env import RecoveryScenes
 

@@ -14,16 +14,16 @@ from itertools import count, islice
 
 import numpy as np
 
+from resync_robot.core.intervals import wilson
 from resync_robot.core.rig import load_rig
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, ROBOT
-from resync_robot.evaluation_report import wilson
-from resync_robot.knowledge import initial_model
+from resync_robot.library_models import initial_model
 from resync_robot.planning.execute import run_skill
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.mine import is_at_rest
-from resync_robot.sim_training.solver import REFERENCE, SHIPPED, Solver, with_solver
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.physics.solver import REFERENCE, SHIPPED, Solver, with_solver
+from resync_robot.sim_training.physics.world import SimWorld
 from tests.benchmarks.drag_test import read
 
 LOWER, UPPER = BLOCK("b0"), BLOCK("b2")

@@ -20,8 +20,8 @@ from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import BLOCK
-from resync_robot.doubt import doubting
-from resync_robot.knowledge import learned_model, shipped_library
+from resync_robot.deployment.uncertain_atoms import with_sampled_atoms
+from resync_robot.library_models import learned_model, shipped_library
 from resync_robot.perception.pose import upright_covariance
 from resync_robot.planning.search import plan
 from resync_robot.sim_training.domains import find_domain, world_task
@@ -44,7 +44,7 @@ def main() -> None:
     torch.set_num_threads(1)
     domain = find_domain("cornered-insertion-s")
     model = learned_model(domain, load_rig(), load_library(args.library or shipped_library(domain.name)))
-    look = doubting(model).abstraction
+    look = with_sampled_atoms(model).abstraction
     print(
         "| scenario | objects | grounding ms, median / p95 | by camera, each look | planning ms, median / p95 | steps |"
     )

@@ -21,17 +21,17 @@ import numpy as np
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.library import Library, load_library
 from resync_robot.core.rig import Rig, load_rig
-from resync_robot.core.skill import GroundSkill, Outcome
+from resync_robot.core.skill import GroundSkill, SkillOutcome
 from resync_robot.core.symbols import GroundOperator
-from resync_robot.deployed_world import OracleWorld
+from resync_robot.deployment.world import OracleWorld
 from resync_robot.hardware.base import SERVO_PERIOD, RobotState, StarvedError
-from resync_robot.hardware.room import Room
 from resync_robot.hardware.sim import SimRobot
+from resync_robot.hardware.workspace import Workspace
 from resync_robot.hardware.yielding import Yielding
-from resync_robot.knowledge import learned_model, shipped_library
+from resync_robot.library_models import learned_model, shipped_library
 from resync_robot.planning.execute import Listener, plan_and_execute
 from resync_robot.sim_training.domains import find_domain, world_task
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.physics.world import SimWorld
 
 RIG = Path(__file__).parents[2] / "hardware" / "emulated.toml"
 
@@ -77,7 +77,7 @@ class StiffRobot(PressingRobot):
 
     def __init__(self, world: SimWorld, rig: Rig, delay: float) -> None:
         super().__init__(world, rig, delay)
-        self._room = Room(rig)
+        self._workspace = Workspace(rig)
         self._rests_at: np.ndarray | None = None
 
     def connect(self) -> None:
@@ -97,8 +97,8 @@ class StiffRobot(PressingRobot):
     def last_sent(self) -> JointTarget:
         return self._last
 
-    def stay_in(self, room: Room) -> None:
-        self._room = room
+    def stay_in(self, workspace: Workspace) -> None:
+        self._workspace = workspace
 
     def play(
         self,
@@ -133,7 +133,7 @@ class YieldingRobot(StiffRobot):
             self._rests_at = arm.position
         if limit is not None:
             felt = wrench(self.state())
-            self._yielding = Yielding(self._rig, self._room, np.array(limit), self._last.arm, felt)
+            self._yielding = Yielding(self._rig, self._workspace, np.array(limit), self._last.arm, felt)
 
     def servo(self, q: np.ndarray, opening: float) -> None:
         if self._yielding is not None and self._limit is not None:
@@ -154,7 +154,7 @@ class UntilRecovered(Listener):
     def on_skill_start(self, skill: GroundSkill) -> None:
         self._begin = self._world.time
 
-    def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
+    def on_skill_end(self, skill: GroundSkill, outcome: SkillOutcome) -> None:
         if self._robot.forces and not self.seconds:
             self.ending, self.seconds = outcome.ending.value, self._world.time - self._begin
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from resync_robot.core.intervals import wilson
 from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
-from resync_robot.evaluation_report import wilson
-from resync_robot.run_folder import RunFolder
+from resync_robot.curriculum.run_folder import RunFolder
+from resync_robot.curriculum.stages import PRESETS, check_recovery, mine
 from resync_robot.sim_training.domains import find_domain
-from resync_robot.sim_training.solver import REFERENCE
-from resync_robot.stages import PRESETS, check_recovery, mine
+from resync_robot.sim_training.physics.solver import REFERENCE
 
 FRESH = 900_000_000
 """First world seed; training seeds stay far below it."""

@@ -12,7 +12,7 @@ from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.sensor_noise import SensorNoise
 from resync_robot.core.world import CameraFrame
-from resync_robot.sim_training.sensor import NoisySensor
+from resync_robot.sim_training.physics.camera_noise import NoisySensor
 
 WRIST = load_rig().camera("wrist")
 

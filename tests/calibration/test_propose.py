@@ -12,7 +12,7 @@ from resync_robot.calibration.propose import Proposer, Reach, apart, board_in_ha
 from resync_robot.core import spatial
 from resync_robot.core.errors import CalibrationError
 from resync_robot.core.rig import load_rig
-from resync_robot.hardware.room import Room
+from resync_robot.hardware.workspace import Workspace
 from tests.calibration.synthetic import SPEC
 from tests.emulators import RIG_FILE
 
@@ -55,12 +55,12 @@ def test_the_safety_gate_of_a_real_arm_lets_the_whole_round_pass(name: str) -> N
     rig = load_rig(RIG_FILE)
     camera = rig.camera(name)
     board = board_on_table(SPEC, (0.48, 0.0)) if camera.mount == "flange" else board_in_hand(SPEC, rig)
-    room = Room(rig if camera.mount == "flange" else with_board(rig, SPEC))
+    workspace = Workspace(rig if camera.mount == "flange" else with_board(rig, SPEC))
     steps = np.linspace(0, 1, 40)[:, None]
     for seed in (0, 3):
         here = rig.arm.home
         for q in Proposer(rig, camera, SPEC, board)(24, seed):
-            room.check(here + steps * (q - here))
+            workspace.check(here + steps * (q - here))
             here = q
 
 

@@ -12,14 +12,14 @@ from resync_robot.core.episode import Answer, Ask, EpisodeMeta, read_episode
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig, load_rig
+from resync_robot.deployment.recorder import Recorder
 from resync_robot.hardware.answers import Answers
 from resync_robot.hardware.base import Command, Motions, Robot, RobotState
 from resync_robot.hardware.emulator.arm import KinematicArm
+from resync_robot.hardware.joint_moves import travel
 from resync_robot.hardware.replay import ReplayArm
 from resync_robot.hardware.sim import SimRobot
 from resync_robot.hardware.stream import Stream
-from resync_robot.hardware.travel import travel
-from resync_robot.recorder import Recorder
 from tests.contracts.conftest import KinematicPhysics
 
 Tell = Callable[[Ask, RobotState | None], None]

@@ -116,7 +116,7 @@ def test_tables_are_known_by_their_names(kind, text, known, tmp_path):
 def test_a_figure_of_ours_is_told_from_other_pictures(tmp_path):
     from matplotlib.figure import Figure
 
-    from resync_robot.plots import save_figure
+    from resync_robot.figures import save_figure
 
     figure = Figure()
     save_figure(figure, tmp_path / "ours.png")

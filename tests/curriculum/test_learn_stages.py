@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from resync_robot.commands.train_sim import TrainConfig, train
 from resync_robot.core.errors import ConfigError, ResyncError, UnknownNameError
 from resync_robot.core.library import LearnedFailure, LearnedStage, Library, load_library
 from resync_robot.curriculum.learn_stages import STAGE_SEEDS, STEPS, TRAINING_SEEDS, Curriculum, chosen_stages
 from resync_robot.sim_training.domains import find_domain
-from resync_robot.train import TrainConfig, train
 
 PUCKS = str(Path(__file__).parents[2] / "docs" / "puck_behind_a_door.py")
 DOMAIN = find_domain(PUCKS)

@@ -13,8 +13,8 @@ from resync_robot.core.errors import TrainingError
 from resync_robot.curriculum import mine as mining
 from resync_robot.curriculum.context import Known
 from resync_robot.curriculum.mine import FAILURES, Mined, mine
+from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.stage_folder import StageFolder
-from resync_robot.run_folder import RunFolder
 from resync_robot.sim_training.domains import find_domain
 
 PUCKS = str(Path(__file__).parents[2] / "docs" / "puck_behind_a_door.py")

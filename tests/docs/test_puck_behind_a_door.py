@@ -6,7 +6,7 @@ import pytest
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import ExecuteSettings, Model, Result, plan_and_execute
+from resync_robot.planning.execute import EpisodeResult, ExecuteSettings, Model, plan_and_execute
 from tests.domains import PUCK_DOMAIN, puck
 
 BODY = PUCK_DOMAIN.embodiment
@@ -26,7 +26,7 @@ def push(world: puck.Rooms, times: int, speed: float = 1.0) -> None:  # type: ig
         world.act(np.array([speed, 0.0, -1.0]), 0.1)
 
 
-def carry_out(world: puck.Rooms, task: Task) -> Result:  # type: ignore[name-defined]
+def carry_out(world: puck.Rooms, task: Task) -> EpisodeResult:  # type: ignore[name-defined]
     return plan_and_execute(world, MODEL, task.goal, ONCE)
 
 

@@ -14,9 +14,9 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.hardware.base import SERVO_PERIOD, SafetyError
 from resync_robot.hardware.clearance import Clearance
-from resync_robot.hardware.room import MARGIN
 from resync_robot.hardware.safety import Guard
 from resync_robot.hardware.stream import JUMP_SLACK, Stream
+from resync_robot.hardware.workspace import MARGIN
 from tests.hardware.conftest import PerfectRobot
 from tests.stalls import never_excused
 

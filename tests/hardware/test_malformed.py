@@ -21,7 +21,7 @@ from resync_robot.hardware.emulator.arm import KinematicArm
 from resync_robot.hardware.emulator.controller import Controller, SafetyMode
 from resync_robot.hardware.emulator.dashboard import DashboardClient
 from resync_robot.hardware.emulator.gripper import EmulatedGripper, GripperClient
-from resync_robot.hardware.emulator.lab import LabClient
+from resync_robot.hardware.emulator.lab_client import LabClient
 from resync_robot.hardware.emulator.rtde import RtdeClient
 from resync_robot.hardware.emulator.server import Emulator
 from resync_robot.hardware.robotiq import Robotiq

@@ -17,16 +17,16 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.deployment.recorder import Recorder
 from resync_robot.hardware.answers import Answers, Departure, RecordingOverError
 from resync_robot.hardware.base import Command, ProtectiveStopError, RobotError, RobotState
+from resync_robot.hardware.joint_moves import travel
 from resync_robot.hardware.replay import (
     ReplayArm,
     ReplayCamera,
     ReplayTruth,
     replay_ready,
 )
-from resync_robot.hardware.travel import travel
-from resync_robot.recorder import Recorder
 from tests import scenes
 
 BEGIN = 5000.125

@@ -18,9 +18,9 @@ from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.hardware.base import SERVO_PERIOD, SafetyError
 from resync_robot.hardware.clearance import Obstacle
-from resync_robot.hardware.room import heights
 from resync_robot.hardware.safety import FIRST_RUN_SPEED, Guard
 from resync_robot.hardware.stream import FIRST_RUN_PACE, PACE_MARGIN, Stream
+from resync_robot.hardware.workspace import heights
 from tests.emulators import RIG_FILE
 
 FEW = settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])

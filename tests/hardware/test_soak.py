@@ -21,9 +21,9 @@ from resync_robot.hardware.base import Command, ProtectiveStopError, RobotError,
 from resync_robot.hardware.emulator.controller import SafetyMode
 from resync_robot.hardware.emulator.faults import FAULTS
 from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.joint_moves import travel
 from resync_robot.hardware.robotiq import Robotiq
 from resync_robot.hardware.stream import Stream
-from resync_robot.hardware.travel import travel
 from resync_robot.hardware.ur7e import Ur7e
 from tests import emulators
 

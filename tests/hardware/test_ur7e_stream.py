@@ -15,9 +15,9 @@ from resync_robot.core.rig import Rig
 from resync_robot.hardware.base import SERVO_PERIOD
 from resync_robot.hardware.emulator.judge import Judge
 from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.joint_moves import travel
 from resync_robot.hardware.robotiq import Robotiq
 from resync_robot.hardware.stream import Stream
-from resync_robot.hardware.travel import travel
 from resync_robot.hardware.ur7e import Ur7e
 from tests import emulators
 from tests.hardware.adversary import KINDS, MOVES, TAKEN, assert_nothing_out_of_limits, attack, starts

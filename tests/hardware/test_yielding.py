@@ -14,9 +14,9 @@ from resync_robot.core import spatial
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.hardware.base import SERVO_PERIOD
 from resync_robot.hardware.generator import Generator, Motion
-from resync_robot.hardware.room import Room
 from resync_robot.hardware.safety import FIRST_RUN_SPEED
 from resync_robot.hardware.stream import PRESSING_SPEED
+from resync_robot.hardware.workspace import Workspace
 from resync_robot.hardware.yielding import FURTHEST, Yielding
 from tests.emulators import RIG_FILE, sister
 from tests.hardware.adversary import assert_nothing_out_of_limits
@@ -53,7 +53,7 @@ def press(
     """Setpoints sent, and the springs' force, N, at every tick. The arm lags by 10 ms; the force is noisy and late."""
     rng = np.random.default_rng(0)
     bias = np.array([3.0, -20.0, 15.0, 0.3, 0.2, 0.0])
-    arm = Yielding(rig, Room(rig), LIMIT if limited else np.full(6, np.inf), rig.arm.home, bias)
+    arm = Yielding(rig, Workspace(rig), LIMIT if limited else np.full(6, np.inf), rig.arm.home, bias)
     actual, sent, forces = rig.arm.home.copy(), [], []
     surface = rig.tip_pose(rig.arm.home)[2, 3] - TOUCH
     on_the_way = [np.zeros(6)] * round(delay / SERVO_PERIOD)
@@ -144,7 +144,7 @@ FORCES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
 )
 def test_whatever_is_felt_the_limits_hold(seed: int, kinds: list[str], brakes: int) -> None:
     path, rng = walk(seed, 400), np.random.default_rng(seed)
-    arm = Yielding(RIG, Room(RIG), LIMIT, RIG.arm.home, np.zeros(6))
+    arm = Yielding(RIG, Workspace(RIG), LIMIT, RIG.arm.home, np.zeros(6))
     sent: list[np.ndarray] = []
     for i, q in enumerate(path):
         wrench = FORCES[kinds[i // 100]](rng)
@@ -156,7 +156,7 @@ def test_whatever_is_felt_the_limits_hold(seed: int, kinds: list[str], brakes: i
 
 
 def test_a_sensor_that_says_nonsense_moves_a_resting_arm_no_further_than_that() -> None:
-    arm = Yielding(RIG, Room(RIG), LIMIT, RIG.arm.home, np.zeros(6))
+    arm = Yielding(RIG, Workspace(RIG), LIMIT, RIG.arm.home, np.zeros(6))
     sent = [arm.follow(RIG.arm.home, RIG.arm.home, np.array([0, 0, 1e6, 0, 0, 0.0])) for _ in range(2000)]
     moved = np.abs(np.array(sent) - RIG.arm.home).max()
     assert 0.5 * FURTHEST < moved < 1.1 * FURTHEST
@@ -171,7 +171,7 @@ def test_it_yields_no_further_than_it_may_be() -> None:
     narrow = replace(RIG, controller=replace(controller, workspace_high=top))
     heights = []
     for rig in (RIG, narrow):
-        arm = Yielding(rig, Room(rig), LIMIT, rig.arm.home, np.zeros(6))
+        arm = Yielding(rig, Workspace(rig), LIMIT, rig.arm.home, np.zeros(6))
         sent = [arm.follow(rig.arm.home, rig.arm.home, np.array([0, 0, 3e2, 0, 0, 0.0])) for _ in range(1000)]
         heights.append(rig.tip_pose(np.array(sent))[:, 2, 3].max())
     assert heights[0] > top[2] + 0.005
@@ -182,7 +182,7 @@ def test_until_it_is_confirmed_it_yields_slowly_too() -> None:
     controller = RIG.controller
     assert controller is not None
     slow = replace(RIG, controller=replace(controller, full_speed=False))
-    arm = Yielding(slow, Room(slow), LIMIT, slow.arm.home, np.zeros(6))
+    arm = Yielding(slow, Workspace(slow), LIMIT, slow.arm.home, np.zeros(6))
     sent = [arm.follow(slow.arm.home, slow.arm.home, np.array([2e3, 2e3, 2e3, 0, 0, 0.0])) for _ in range(1000)]
     tips = slow.tip_pose(np.array(sent))[:, :3, 3]
     speeds = np.linalg.norm(np.diff(tips, axis=0), axis=1) / SERVO_PERIOD

@@ -13,7 +13,7 @@ from resync_robot.learning.classifiers import NeuralClassifier
 from resync_robot.learning.dataset import merged_dataset
 from resync_robot.learning.effects import Attempts, Candidate, Effect, supervise
 from resync_robot.learning.fit import SCREENING, FitConfig, fit
-from resync_robot.sim_training.domains.corner import RELATIONS
+from resync_robot.sim_training.domains.cornered_insertion_s.corner import RELATIONS
 from tests.learning.toy import BOX_0, Toy
 
 SIGNATURES = {"Pick": (ROBOT, BLOCK), "Insert": (ROBOT, BLOCK, BLOCK), "Recover": (ROBOT, BLOCK, BOX)}

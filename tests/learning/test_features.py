@@ -10,7 +10,7 @@ from resync_robot.core.symbols import SE2, SE3, Type
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.learning import features
 from resync_robot.learning.features import perturb
-from resync_robot.sim_training.domains.corner import RELATIONS
+from resync_robot.sim_training.domains.cornered_insertion_s.corner import RELATIONS
 
 angles = st.floats(-3.1, 3.1)
 offsets = st.floats(-0.4, 0.4)

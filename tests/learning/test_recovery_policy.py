@@ -35,7 +35,7 @@ from resync_robot.learning.recovery_policy import (
     up_axis,
     wall_gaps,
 )
-from resync_robot.sim_training.domains.corner import CORNER
+from resync_robot.sim_training.domains.cornered_insertion_s.corner import CORNER
 from tests import scenes
 
 coordinate = st.floats(0.005, 0.11)

@@ -19,7 +19,7 @@ from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT, TYPES
 from resync_robot.learning.dataset import StageData
 from resync_robot.learning.features import perturb
-from resync_robot.sim_training.domains.corner import RELATIONS, in_box
+from resync_robot.sim_training.domains.cornered_insertion_s.corner import RELATIONS, in_box
 
 HAND_EMPTY, HOLDING = Predicate("HandEmpty", (ROBOT,)), Predicate("Holding", (ROBOT, BLOCK))
 ON = Predicate("On", (BLOCK, BLOCK))

@@ -10,13 +10,13 @@ from resync_robot.core.errors import PerceptionError, UnknownNameError
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.vocabulary import BLOCK
-from resync_robot.doubt import samples
+from resync_robot.deployment.uncertain_atoms import samples
 from resync_robot.perception.belief import Belief
 from resync_robot.perception.blocks import STOREY_SIGMA, BlockEstimate, Glimpse
 from resync_robot.perception.naming import MissingObjectsError, UnsettledSceneError
 from resync_robot.perception.objects import SceneEstimate
 from resync_robot.perception.pose import HEIGHT_SIGMA, tie_height, yaw_variance_of
-from resync_robot.sim_training.domains.cornered_insertion_s import on
+from resync_robot.sim_training.domains.cornered_insertion_s.domain import on
 from tests.perception.estimates import B0, B1, FLOOR, HEIGHT, THE_BOX, WIDTH, R, block, box, grasp, robot, scene
 
 

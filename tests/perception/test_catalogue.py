@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from resync_robot.perception.catalogue import Catalogue
-from resync_robot.sim_training import parts
-from resync_robot.sim_training.domains.layouts import sample_block_sizes, sample_box
-from resync_robot.sim_training.randomise import BLOCK_HUES, UNSEEN, USUAL
+from resync_robot.sim_training.domains.cornered_insertion_s.layouts import sample_block_sizes, sample_box
+from resync_robot.sim_training.physics import parts
+from resync_robot.sim_training.physics.randomise import BLOCK_HUES, UNSEEN, USUAL
 
 WORST = 0.002
 """m by which a size may be measured wrong, beneath bright lights."""

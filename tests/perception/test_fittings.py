@@ -20,7 +20,7 @@ from resync_robot.perception.naming import AmbiguousObjectsError, MissingObjects
 from resync_robot.perception.objects import SceneEstimate, SceneEstimator
 from resync_robot.perception.outline import Votes, grid, least_seen_edge, outward_of_rectangle
 from resync_robot.perception.scan import Scan
-from resync_robot.sim_training.sensor import NoisySensor
+from resync_robot.sim_training.physics.camera_noise import NoisySensor
 from tests.perception.raycast import CENTRE, FLOOR, INNER, RIM, Table
 
 COLOURS = {**Catalogue().hues, "lid": 0.80, "drawer": 0.48, "drawer_cabinet": 0.25}

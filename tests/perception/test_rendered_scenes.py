@@ -11,10 +11,10 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.perception.belief import Belief
 from resync_robot.perception.scan import Scan
-from resync_robot.sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
-from resync_robot.sim_training.domains.layouts import THE_BOX, R
-from resync_robot.sim_training.sensor import NoisySensor
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.domains.cornered_insertion_s.domain import CORNERED_INSERTION_S
+from resync_robot.sim_training.domains.cornered_insertion_s.layouts import THE_BOX, R
+from resync_robot.sim_training.physics.camera_noise import NoisySensor
+from resync_robot.sim_training.physics.world import SimWorld
 
 SCENES = 10
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from resync_robot.core.joints import JointTarget
-from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
+from resync_robot.core.skill import GroundSkill, Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, Predicate, Type
 from resync_robot.core.symbols import Variable as V
 from resync_robot.core.world import Observation
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import End, Listener, Model
+from resync_robot.planning.execute import EpisodeEnd, Listener, Model
 from resync_robot.planning.search import Plan
 
 CUP = Type("cup", ("open", "full", "clean"))
@@ -63,10 +63,10 @@ class Toy:
 
     kitchen: Kitchen
     change: Callable[[State], State]
-    outcome: Outcome | None
+    outcome: SkillOutcome | None
     steps: int = 0
 
-    def step(self, observation: Observation) -> JointTarget | Outcome:
+    def step(self, observation: Observation) -> JointTarget | SkillOutcome:
         self.steps += 1
         if self.steps == 2:
             self.kitchen.wanted = self.change
@@ -88,7 +88,7 @@ def kitchen(**true: str) -> Kitchen:
 
 def model(world: Kitchen, **changes: object) -> Model:
     """All three skills; a keyword replaces what one does: (object -> change of the state, outcome)."""
-    done = Outcome(Ending.DONE)
+    done = SkillOutcome(SkillEnd.DONE)
     does = {"Unlid": (setting("open"), done), "Fill": (setting("full"), done), "Wipe": (setting("clean"), done)}
     does |= {k: v for k, v in changes.items() if k in does}
 
@@ -135,13 +135,13 @@ class Notes(Listener):
     def on_control(self, observation: Observation, target: JointTarget) -> None:
         self.heard.append("control")
 
-    def on_skill_end(self, skill: GroundSkill, outcome: Outcome) -> None:
+    def on_skill_end(self, skill: GroundSkill, outcome: SkillOutcome) -> None:
         self.heard.append(f"end {skill} {outcome.ending.value}")
 
     def on_effects_missing(self, step: GroundOperator) -> None:
         self.failed.append(str(step))
 
-    def on_end(self, end: End, reason: str) -> None:
+    def on_end(self, end: EpisodeEnd, reason: str) -> None:
         self.heard.append(f"over: {end.value}")
 
     def confirm(self, step: GroundOperator) -> bool:

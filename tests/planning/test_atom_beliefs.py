@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.symbols import Atom
 from resync_robot.planning.atom_beliefs import AtomBeliefs, BeliefSettings
 from resync_robot.planning.outcome_costs import OutcomeCosts, Tally
 from tests.planning.kitchen import CLEAN, FILL, FULL, OPEN, WIPE, A, B
 
-DONE, BLOCKED, REFUSED = Outcome(Ending.DONE), Outcome(Ending.BLOCKED), Outcome(Ending.REFUSED)
+DONE, BLOCKED, REFUSED = SkillOutcome(SkillEnd.DONE), SkillOutcome(SkillEnd.BLOCKED), SkillOutcome(SkillEnd.REFUSED)
 FILL_A, WIPE_A = FILL.ground((A,)), WIPE.ground((A,))
 PRACTISED = OutcomeCosts({"Fill": [Tally(OPEN, 0, (690, 690), (0, 0))], "Wipe": [Tally(OPEN, 0, (46, 50), (0, 0))]})
 MEASURED = {"Clean": 0.05}
@@ -75,7 +75,9 @@ def test_success_speaks_for_what_was_doubted() -> None:
 
 
 @pytest.mark.parametrize(("outcomes", "believed"), [([DONE] * 2, True), ([BLOCKED] * 2, False), ([BLOCKED] * 4, True)])
-def test_done_in_vain_again_and_again_means_that_the_classifier_is_wrong(outcomes: list[Outcome], believed) -> None:
+def test_done_in_vain_again_and_again_means_that_the_classifier_is_wrong(
+    outcomes: list[SkillOutcome], believed
+) -> None:
     b = beliefs(costs=PRACTISED, clean=0.0)
     came_true = [b.attempted(WIPE_A, outcome, looks(clean=0.0)) for outcome in outcomes]
     assert not came_true[0] and came_true[-1] == believed

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import pytest
 
 from resync_robot.core.errors import UnknownNameError
-from resync_robot.core.skill import Ending, GroundSkill, Outcome, Skill
+from resync_robot.core.skill import GroundSkill, Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Operator
 from resync_robot.core.world import Observation
-from resync_robot.planning.execute import End, ExecuteSettings, Model, plan_and_execute, run_skill
+from resync_robot.planning.execute import EpisodeEnd, ExecuteSettings, Model, plan_and_execute, run_skill
 from tests.planning.kitchen import (
     CLEAN,
     CUP,
@@ -35,7 +35,7 @@ from tests.planning.kitchen import (
 def test_a_plan_that_works_is_carried_out_step_by_step() -> None:
     world = kitchen()
     result = plan_and_execute(world, model(world), GOAL)
-    assert result.success and result.end is End.GOAL and result.reason == ""
+    assert result.success and result.end is EpisodeEnd.GOAL and result.reason == ""
     assert [t.skill for t in result.transitions][-1] == "Fill"
     assert {t.skill for t in result.transitions} == {"Unlid", "Wipe", "Fill"}
     assert all(t.succeeded and t.objects == (A,) for t in result.transitions)
@@ -80,7 +80,7 @@ def test_it_plans_again_where_an_effect_is_missing_though_the_skill_said_done() 
 
     notes = Notes()
     result = plan_and_execute(
-        world, model(world, Unlid=(opens_the_second_time, Outcome(Ending.DONE))), GOAL, listener=notes
+        world, model(world, Unlid=(opens_the_second_time, SkillOutcome(SkillEnd.DONE))), GOAL, listener=notes
     )
     assert result.success
     assert [(t.skill, t.succeeded) for t in result.transitions] == [("Unlid", False), ("Unlid", True), ("Fill", True)]
@@ -98,7 +98,7 @@ def test_it_plans_again_where_the_next_step_lost_its_precondition() -> None:
         return lambda state: state.with_features(cup, open=1.0, clean=float(len(spilled) > 1))
 
     result = plan_and_execute(
-        world, model(world, Unlid=(opens_and_soils_once, Outcome(Ending.DONE))), GOAL, listener=notes
+        world, model(world, Unlid=(opens_and_soils_once, SkillOutcome(SkillEnd.DONE))), GOAL, listener=notes
     )
     assert result.success
     assert [t.skill for t in result.transitions] == ["Unlid", "Wipe", "Fill"]
@@ -110,29 +110,29 @@ def test_a_missing_delete_effect_counts_as_failure() -> None:
     world = kitchen(open="ab")
     two = frozenset({FULL(A), FULL(B)})
     result = plan_and_execute(world, model(world, operators=(drain, UNLID)), two, ExecuteSettings(max_failures=1))
-    assert result.end is End.STUCK
+    assert result.end is EpisodeEnd.STUCK
     assert not result.transitions[0].succeeded
 
 
 def test_a_goal_beyond_every_operator_ends_with_no_plan() -> None:
     world = kitchen()
     result = plan_and_execute(world, model(world, operators=(UNLID,)), GOAL)
-    assert result.end is End.NO_PLAN and not result.success
+    assert result.end is EpisodeEnd.NO_PLAN and not result.success
     assert "Full(a)" in result.reason
 
 
 def test_the_same_failure_again_and_again_ends_stuck() -> None:
     world = kitchen(open="a", clean="a")
-    blocked = (nothing, Outcome(Ending.BLOCKED, "a wall"))
+    blocked = (nothing, SkillOutcome(SkillEnd.BLOCKED, "a wall"))
     result = plan_and_execute(world, model(world, Fill=blocked), GOAL, ExecuteSettings(max_failures=2))
-    assert result.end is End.STUCK
+    assert result.end is EpisodeEnd.STUCK
     assert [t.succeeded for t in result.transitions] == [False, False]
     assert "blocked: a wall" in result.reason
 
 
 def test_what_was_learned_is_doubted_where_restoring_it_fails_again_and_again() -> None:
     """Clean is said to be false whatever is wiped; filling the cup works all the same."""
-    unwiped, learned = (nothing, Outcome(Ending.DONE)), {"Clean": None}
+    unwiped, learned = (nothing, SkillOutcome(SkillEnd.DONE)), {"Clean": None}
     world = kitchen(open="a")
     notes = Notes()
     result = plan_and_execute(world, model(world, Wipe=unwiped, learned=learned), GOAL, listener=notes)
@@ -142,7 +142,7 @@ def test_what_was_learned_is_doubted_where_restoring_it_fails_again_and_again() 
     assert 0.9 < notes.seen[2][CLEAN(A)] < 1, "and it is told so"
 
     world = kitchen(open="a")
-    broken = (nothing, Outcome(Ending.BLOCKED))
+    broken = (nothing, SkillOutcome(SkillEnd.BLOCKED))
     result = plan_and_execute(world, model(world, Wipe=broken, learned=learned), GOAL)
     assert [t.skill for t in result.transitions] == ["Wipe"] * 4 + ["Fill"], "later where the skill agrees"
     assert result.success
@@ -154,11 +154,14 @@ def test_what_was_learned_is_doubted_where_restoring_it_fails_again_and_again() 
 def test_a_skill_that_was_tried_against_what_was_learned_and_failed_is_not_tried_at_once_again() -> None:
     world = kitchen(open="a")
     unfilled = model(
-        world, Wipe=(nothing, Outcome(Ending.DONE)), Fill=(nothing, Outcome(Ending.BLOCKED)), learned={"Clean": None}
+        world,
+        Wipe=(nothing, SkillOutcome(SkillEnd.DONE)),
+        Fill=(nothing, SkillOutcome(SkillEnd.BLOCKED)),
+        learned={"Clean": None},
     )
     result = plan_and_execute(world, unfilled, GOAL)
     assert [t.skill for t in result.transitions] == ["Wipe", *["Wipe", "Fill"] * 5]
-    assert result.end is End.STUCK
+    assert result.end is EpisodeEnd.STUCK
 
 
 def test_failures_are_counted_for_each_ground_skill_by_itself() -> None:
@@ -172,21 +175,21 @@ def test_failures_are_counted_for_each_ground_skill_by_itself() -> None:
     two = frozenset({FULL(A), FULL(B)})
     settings = ExecuteSettings(max_failures=2)
     assert plan_and_execute(
-        world, model(world, Fill=(fills_the_second_time, Outcome(Ending.DONE))), two, settings
+        world, model(world, Fill=(fills_the_second_time, SkillOutcome(SkillEnd.DONE))), two, settings
     ).success
 
 
 def test_too_many_skills_end_exhausted() -> None:
     world = kitchen()
     result = plan_and_execute(world, model(world), GOAL, ExecuteSettings(max_skills=2))
-    assert result.end is End.EXHAUSTED
+    assert result.end is EpisodeEnd.EXHAUSTED
     assert len(result.transitions) == 2
 
 
 def test_an_episode_ends_at_its_horizon_of_control_steps() -> None:
     world = kitchen()
     result = plan_and_execute(world, model(world), GOAL, ExecuteSettings(horizon=3))
-    assert (result.end, result.reason) == (End.EXHAUSTED, "3 control steps were taken")
+    assert (result.end, result.reason) == (EpisodeEnd.EXHAUSTED, "3 control steps were taken")
     assert [t.succeeded for t in result.transitions] == [True, False], "the second skill was cut short"
     world = kitchen()
     assert plan_and_execute(world, model(world), GOAL, ExecuteSettings(horizon=6)).success
@@ -195,7 +198,7 @@ def test_an_episode_ends_at_its_horizon_of_control_steps() -> None:
 def test_a_declined_step_stops_the_episode_before_it_moves() -> None:
     world, notes = kitchen(clean="a"), Notes(decline="Fill(a)")
     result = plan_and_execute(world, model(world), GOAL, listener=notes)
-    assert result.end is End.STOPPED
+    assert result.end is EpisodeEnd.STOPPED
     assert result.reason == "Fill(a) was declined"
     assert "start Unlid(a)" in notes.heard and "start Fill(a)" not in notes.heard
     assert notes.heard[-1] == "over: stopped"
@@ -204,7 +207,7 @@ def test_a_declined_step_stops_the_episode_before_it_moves() -> None:
 def test_a_plan_that_is_only_asked_for_ends_planned_and_nothing_is_run_or_asked() -> None:
     world, notes = kitchen(), Notes(decline="Unlid(a)")
     result = plan_and_execute(world, model(world), GOAL, ExecuteSettings(plan_only=True), notes)
-    assert (result.end, result.success, result.transitions) == (End.PLANNED, False, ())
+    assert (result.end, result.success, result.transitions) == (EpisodeEnd.PLANNED, False, ())
     assert result.reason == f"{len(result.plans[0].steps)} steps"
     assert notes.heard[-1] == "over: planned" and not [h for h in notes.heard if h.startswith("start ")]
 
@@ -215,7 +218,7 @@ def test_a_reaction_is_asked_after_a_failure_and_its_skill_is_run() -> None:
     def fill(cup: Object) -> Callable[[State], State]:
         return lambda state: state.with_features(cup, full=float(state.get(B, "clean")[0]))
 
-    known = model(world, Fill=(fill, Outcome(Ending.DONE)))
+    known = model(world, Fill=(fill, SkillOutcome(SkillEnd.DONE)))
 
     def react(failed: GroundSkill, state: State) -> GroundSkill | None:
         asked.append((str(failed), state))
@@ -234,9 +237,9 @@ def test_a_reaction_is_asked_after_a_failure_and_its_skill_is_run() -> None:
 
 def test_a_reaction_may_decline() -> None:
     world = kitchen(open="a", clean="a")
-    known = model(world, Fill=(nothing, Outcome(Ending.BLOCKED)))
+    known = model(world, Fill=(nothing, SkillOutcome(SkillEnd.BLOCKED)))
     result = plan_and_execute(world, known, GOAL, reaction=lambda failed, state: None)
-    assert result.end is End.STUCK
+    assert result.end is EpisodeEnd.STUCK
     assert {t.skill for t in result.transitions} == {"Fill"}
 
 
@@ -244,12 +247,14 @@ def test_a_skill_that_never_ends_is_stopped_at_its_time_limit() -> None:
     world = kitchen()
     ground = model(world, Wipe=(nothing, None)).skill("Wipe").ground((A,))
     outcome = run_skill(world, ground)
-    assert outcome.ending is Ending.TIMEOUT and not outcome.done
+    assert outcome.ending is SkillEnd.TIMEOUT and not outcome.done
     assert 2.0 < world.time < 2.3
 
 
-@pytest.mark.parametrize(("outcome", "ending"), [(Outcome(Ending.DONE), Ending.DONE), (None, Ending.TIMEOUT)])
-def test_the_limit_counts_control_steps_whatever_the_pace(outcome: Outcome | None, ending: Ending) -> None:
+@pytest.mark.parametrize(
+    ("outcome", "ending"), [(SkillOutcome(SkillEnd.DONE), SkillEnd.DONE), (None, SkillEnd.TIMEOUT)]
+)
+def test_the_limit_counts_control_steps_whatever_the_pace(outcome: SkillOutcome | None, ending: SkillEnd) -> None:
     """At 2.5 % of full speed, as in a first run with the slider at 10 %, two steps of 0.1 s take 8 s."""
     world = kitchen()
     world.pace = 0.025
@@ -263,7 +268,7 @@ def test_a_skill_gets_its_rate_its_effort_and_live_poses_and_gives_the_effort_ba
     world = kitchen()
 
     def start(objects: tuple[Object, ...], first: Observation) -> Toy:
-        return Toy(world, setting("clean")(objects[0]), Outcome(Ending.DONE))
+        return Toy(world, setting("clean")(objects[0]), SkillOutcome(SkillEnd.DONE))
 
     skill = Skill("Wipe", (CUP,), start, 50.0, 2.0, live_state=True, effort_limit=LIMIT)
     assert run_skill(world, skill.ground((A,))).done
@@ -284,7 +289,7 @@ def test_an_operator_without_a_skill_is_named() -> None:
 def test_a_result_keeps_every_plan() -> None:
     world = kitchen(open="a", clean="a")
     result = plan_and_execute(
-        world, model(world, Fill=(nothing, Outcome(Ending.DONE))), GOAL, ExecuteSettings(max_failures=3)
+        world, model(world, Fill=(nothing, SkillOutcome(SkillEnd.DONE))), GOAL, ExecuteSettings(max_failures=3)
     )
     assert len(result.plans) == 3
     assert all(str(p) == "Fill(a)" for p in result.plans)

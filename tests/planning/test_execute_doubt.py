@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
-from resync_robot.doubt import DoubtingAbstraction
-from resync_robot.planning.execute import End, ExecuteSettings, Model, plan_and_execute
+from resync_robot.deployment.uncertain_atoms import SampledAbstraction
+from resync_robot.planning.execute import EpisodeEnd, ExecuteSettings, Model, plan_and_execute
 from tests.planning.kitchen import (
     CLEAN,
     FILL,
@@ -44,9 +44,9 @@ def test_after_a_failure_the_atom_it_relied_on_is_distrusted_until_restored() ->
     def fill(cup: Object) -> Callable[[State], State]:
         return setting("full")(cup) if wiped else nothing(cup)
 
-    done = Outcome(Ending.DONE)
+    done = SkillOutcome(SkillEnd.DONE)
     blind = model(world, Fill=(fill, done), Wipe=(wipe, done))
-    assert plan_and_execute(world, blind, GOAL, ExecuteSettings(max_failures=2)).end is End.STUCK
+    assert plan_and_execute(world, blind, GOAL, ExecuteSettings(max_failures=2)).end is EpisodeEnd.STUCK
     wary = model(world, Fill=(fill, done), Wipe=(wipe, done), learned=LEARNED)
     result = plan_and_execute(world, wary, GOAL, ExecuteSettings(max_failures=2), notes)
     assert result.success
@@ -61,7 +61,7 @@ def test_distrust_concerns_the_object_that_failed_only() -> None:
         return setting("full")(cup) if cup == B else nothing(cup)
 
     goal = frozenset({FULL(A), FULL(B)})
-    fills = model(world, Fill=(only_b, Outcome(Ending.DONE)), learned=LEARNED)
+    fills = model(world, Fill=(only_b, SkillOutcome(SkillEnd.DONE)), learned=LEARNED)
     plan_and_execute(world, fills, goal, ExecuteSettings(max_failures=2), notes)
     assert not any("Wipe(b)" in plan for plan in notes.plans)
     assert any("Wipe(a)" in plan for plan in notes.plans)
@@ -74,7 +74,7 @@ def test_doubt_that_leaves_no_plan_is_dropped_and_the_skill_tried_again() -> Non
         tries.append(1)
         return setting("full")(cup) if len(tries) > 1 else nothing(cup)
 
-    fills = (fills_the_second_time, Outcome(Ending.DONE))
+    fills = (fills_the_second_time, SkillOutcome(SkillEnd.DONE))
     without_wiping = model(world, Fill=fills, operators=(UNLID, FILL), learned=LEARNED)
     result = plan_and_execute(world, without_wiping, GOAL, listener=notes)
     assert result.success
@@ -95,7 +95,7 @@ class Murky(Kitchen):
 def test_where_doubt_leaves_no_plan_the_likelier_atoms_are_planned_with() -> None:
     world, notes = Murky(kitchen(open="a").state), Notes()
     sure = model(world, operators=(UNLID, FILL))
-    doubting = DoubtingAbstraction(sure.abstraction)
+    doubting = SampledAbstraction(sure.abstraction)
     assert CLEAN(A) in doubting.doubtful(world.perceive())
     unsure = Model(sure.skills, doubting, sure.operators)
     result = plan_and_execute(world, unsure, GOAL, listener=notes)
@@ -109,9 +109,7 @@ def test_where_doubt_leaves_no_plan_the_likelier_atoms_are_planned_with() -> Non
 
 def test_a_likely_goal_that_nothing_can_make_surer_says_so() -> None:
     world = Murky(kitchen().state)
-    result = plan_and_execute(
-        world, Model({}, DoubtingAbstraction(model(world).abstraction), ()), frozenset({CLEAN(A)})
-    )
+    result = plan_and_execute(world, Model({}, SampledAbstraction(model(world).abstraction), ()), frozenset({CLEAN(A)}))
     assert result.success and "not all of it is certain" in result.reason
-    result = plan_and_execute(world, Model({}, DoubtingAbstraction(model(world).abstraction), ()), frozenset({OPEN(A)}))
-    assert result.end is End.NO_PLAN
+    result = plan_and_execute(world, Model({}, SampledAbstraction(model(world).abstraction), ()), frozenset({OPEN(A)}))
+    assert result.end is EpisodeEnd.NO_PLAN

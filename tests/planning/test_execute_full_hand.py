@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Operator, Predicate, Variable
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import End, Model, begin_after, plan_and_execute
+from resync_robot.planning.execute import EpisodeEnd, Model, begin_after, plan_and_execute
 from resync_robot.planning.search import plan
 from tests.planning.kitchen import CUP, A, B, Kitchen, Notes, Toy, kitchen
 
@@ -53,7 +53,7 @@ def model(world: Kitchen, freeing: Change, put: bool = True) -> Model:
         return Skill(
             name,
             (CUP,) * arity,
-            lambda objects, first: Toy(world, change(world, objects), Outcome(Ending.DONE)),
+            lambda objects, first: Toy(world, change(world, objects), SkillOutcome(SkillEnd.DONE)),
             10.0,
             2.0,
         )
@@ -110,7 +110,7 @@ def test_what_was_taken_on_trust_is_put_down_where_the_trust_was_wrong() -> None
 def test_a_base_that_nothing_frees_ends_the_episode() -> None:
     world = kitchen(clean="a")
     result = plan_and_execute(world, model(world, features(0, clean=0.0)), GOAL)
-    assert result.end is End.STUCK and "Stack(a, b)" in result.reason
+    assert result.end is EpisodeEnd.STUCK and "Stack(a, b)" in result.reason
 
 
 def test_an_episode_begins_after_its_scenarios_skills() -> None:
@@ -124,7 +124,7 @@ def test_an_episode_begins_after_its_scenarios_skills() -> None:
 def test_where_one_of_those_skills_fails_the_rest_is_not_run() -> None:
     world, heard = kitchen(clean="ab"), Notes()
     known = model(world, features(0, clean=1.0))
-    refuse = Skill("Take", (CUP,), lambda o, f: Toy(world, lambda s: s, Outcome(Ending.REFUSED)), 10.0, 2.0)
+    refuse = Skill("Take", (CUP,), lambda o, f: Toy(world, lambda s: s, SkillOutcome(SkillEnd.REFUSED)), 10.0, 2.0)
     broken = Model({**known.skills, "Take": refuse}, known.abstraction, known.operators)
     assert not begin_after(world, broken, (("Take", ("a",)), ("Free", ("b",))), (A, B), heard)
     assert [h for h in heard.heard if h.startswith("start")] == ["start Take(a)"]

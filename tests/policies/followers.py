@@ -41,7 +41,7 @@ class Follower:
             arm=self.arm,
             arm_velocity=np.zeros(6),
             opening=self.opening,
-            told_opening=told,
+            commanded_opening=told,
             tip_force=self.force,
         )
 

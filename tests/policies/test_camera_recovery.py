@@ -11,18 +11,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.world import ArmObservation, Cutout, Ready, Window, awaited
 from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS, Prediction
 from resync_robot.learning.recovery_policy import LOWEST_TIP
 from resync_robot.planning.execute import run_skill
 from resync_robot.policies.camera_recovery import MonitorSettings, camera_recovery_skill
-from resync_robot.policies.footing import BENEATH, LET_GO_RISE
 from resync_robot.policies.grasp import travel_height
-from resync_robot.policies.neural import RecoverySkillSettings
-from resync_robot.sim_training.randomise import BLOCK_HUES, LOOKS, draw_looks
-from resync_robot.sim_training.sensor import NoisySensor, Tone
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.policies.state_recovery import RecoverySkillSettings
+from resync_robot.policies.tip_over_guard import BENEATH, LET_GO_RISE
+from resync_robot.sim_training.physics.camera_noise import NoisySensor, Tone
+from resync_robot.sim_training.physics.randomise import BLOCK_HUES, LOOKS, draw_looks
+from resync_robot.sim_training.physics.world import SimWorld
 from tests import scenes
 from tests.policies.followers import RIG, Follower
 from tests.scenes import B0, THE_BOX, R
@@ -78,7 +78,7 @@ class Scripted:
         )
 
 
-def run(policy: Callable[..., Prediction], **world: object) -> tuple[Outcome, Seeing]:
+def run(policy: Callable[..., Prediction], **world: object) -> tuple[SkillOutcome, Seeing]:
     seeing = Seeing(SCENE, **world)  # type: ignore[arg-type]
     skill = camera_recovery_skill("Recover", policy, RIG, SETTINGS)
     assert not skill.live_state, "it would see the simulator's state"
@@ -88,13 +88,13 @@ def run(policy: Callable[..., Prediction], **world: object) -> tuple[Outcome, Se
 def test_it_ends_when_the_policy_has_said_so_twice_and_gets_out_of_the_way() -> None:
     policy = Scripted(done_at=3)
     outcome, world = run(policy)
-    assert outcome == Outcome(Ending.DONE)
+    assert outcome == SkillOutcome(SkillEnd.DONE)
     assert policy.asked == 4
     assert world.tips[-1][2] >= travel_height(SCENE, None) - 1e-3
 
 
 def test_a_policy_gets_pictures_of_the_size_that_it_wants() -> None:
-    assert run(Scripted(done_at=1, picture=96))[0] == Outcome(Ending.DONE)
+    assert run(Scripted(done_at=1, picture=96))[0] == SkillOutcome(SkillEnd.DONE)
 
 
 def test_a_block_that_leans_is_let_go() -> None:
@@ -125,7 +125,7 @@ def test_a_hand_that_slid_off_comes_back_over_where_the_policy_sees_the_block(aw
 
 def test_a_policy_that_says_done_beside_a_wall_is_not_believed() -> None:
     outcome, _ = run(Scripted(done_at=3, gap=0.01))
-    assert outcome.ending is not Ending.DONE
+    assert outcome.ending is not SkillEnd.DONE
 
 
 def test_a_policy_that_is_never_done_ends_with_a_time_out() -> None:
@@ -136,7 +136,7 @@ def test_a_policy_that_is_never_done_ends_with_a_time_out() -> None:
             return replace(super().__call__(pictures, state), steps=np.tile(next(moving), (1, 8, 1)))
 
     outcome, _ = run(Restless())
-    assert outcome.ending is Ending.TIMEOUT
+    assert outcome.ending is SkillEnd.TIMEOUT
 
 
 def test_the_hand_stays_in_the_box_whatever_the_policy_wants() -> None:
@@ -164,7 +164,7 @@ def test_what_cannot_be_right_ends_the_skill_with_a_reason(
     policy: Scripted, world: dict[str, object], words: str
 ) -> None:
     outcome, seeing = run(policy, **world)
-    assert outcome.ending is Ending.BLOCKED and words in outcome.reason
+    assert outcome.ending is SkillEnd.BLOCKED and words in outcome.reason
     assert seeing.tips[-1][2] >= travel_height(SCENE, None) - 1e-3, "the hand was left in the box"
 
 
@@ -199,7 +199,7 @@ def test_every_exchange_of_cameras_is_noticed_before_the_policy_begins(looks: st
             continue
         first = next(i for i, j in enumerate(order) if i != j)
         words = f"the pictures of camera '{VIEWS[first]}' show what '{VIEWS[order[first]]}' must see"
-        assert outcome.ending is Ending.BLOCKED and outcome.reason == words, (looks, order)
+        assert outcome.ending is SkillEnd.BLOCKED and outcome.reason == words, (looks, order)
         assert policy.asked == 0 and seeing.tips[-1][2] >= travel_height(SCENE, None) - 1e-3
 
 
@@ -211,12 +211,12 @@ def test_pictures_that_are_a_tenth_of_a_second_late_are_as_in_training() -> None
 def test_a_world_without_cameras_is_said_to_be_one() -> None:
     skill = camera_recovery_skill("Recover", Scripted(), RIG, SETTINGS)
     outcome = run_skill(Follower(SCENE), skill.ground((R, B0, THE_BOX)))
-    assert outcome.ending is Ending.BLOCKED and "no camera" in outcome.reason
+    assert outcome.ending is SkillEnd.BLOCKED and "no camera" in outcome.reason
 
 
 def test_something_between_the_pads_refuses_it() -> None:
     outcome, _ = run(Scripted(), between=0.05)
-    assert outcome.ending is Ending.REFUSED
+    assert outcome.ending is SkillEnd.REFUSED
 
 
 def test_a_slow_policy_is_bridged_in_real_time_and_waited_for_in_simulation() -> None:

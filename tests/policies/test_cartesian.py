@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
-from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.policies.cartesian import GIVE_IN_STEP, Blocked, Hand, run_motion
 from tests import scenes
 from tests.policies.followers import RIG, Follower
@@ -177,26 +177,26 @@ def test_what_no_configuration_reaches_ends_as_unreachable() -> None:
     world = Follower(SCENE)
     hand = hand_of(world)
 
-    def motion() -> Generator[JointTarget, Any, Outcome]:
+    def motion() -> Generator[JointTarget, Any, SkillOutcome]:
         yield from hand.move(2.0, 0.0, 0.3, 0.0, 1.0)
-        return Outcome(Ending.DONE)
+        return SkillOutcome(SkillEnd.DONE)
 
     policy = run_motion(motion(), world.observe())
     for _ in range(1000):
         answer = policy.step(world.observe())
-        if isinstance(answer, Outcome):
+        if isinstance(answer, SkillOutcome):
             break
         world.act(answer, PERIOD)
-    assert answer.ending is Ending.UNREACHABLE and "flange" in answer.reason
+    assert answer.ending is SkillEnd.UNREACHABLE and "flange" in answer.reason
 
 
 def test_a_motion_with_nothing_to_do_ends_at_once() -> None:
-    def motion() -> Generator[JointTarget, Any, Outcome]:
-        return Outcome(Ending.REFUSED, "no")
+    def motion() -> Generator[JointTarget, Any, SkillOutcome]:
+        return SkillOutcome(SkillEnd.REFUSED, "no")
         yield
 
     world = Follower(SCENE)
-    assert run_motion(motion(), world.observe()).step(world.observe()) == Outcome(Ending.REFUSED, "no")
+    assert run_motion(motion(), world.observe()).step(world.observe()) == SkillOutcome(SkillEnd.REFUSED, "no")
 
 
 def test_a_hand_knows_its_yaw_from_the_arm() -> None:

@@ -14,7 +14,7 @@ import torch
 
 from resync_robot.core.errors import PolicyError, TrainingError
 from resync_robot.core.rig import CameraRig, load_rig
-from resync_robot.distil import PLANS
+from resync_robot.curriculum.distil import PLANS
 from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS
 from resync_robot.learning.demonstrations import Demonstrations
 from resync_robot.policies import trunk

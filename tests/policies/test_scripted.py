@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from resync_robot.core.rig import load_rig
-from resync_robot.core.skill import Ending, Outcome
+from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.world import ArmObservation
 from resync_robot.learning.failures import CONTACT_THRESHOLD_N
 from resync_robot.planning.execute import run_skill
 from resync_robot.policies.scripted import ScriptedSettings, scripted_skills
-from resync_robot.sim_training.domains.cornered_insertion_s import hand_empty, holding, on
+from resync_robot.sim_training.domains.cornered_insertion_s.domain import hand_empty, holding, on
 from resync_robot.sim_training.mine import ContactMonitor, is_at_rest
-from resync_robot.sim_training.parts import CHAMFER, CLEARANCE
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.physics.parts import CHAMFER, CLEARANCE
+from resync_robot.sim_training.physics.world import SimWorld
 from tests import scenes
 from tests.policies.followers import Follower
 from tests.scenes import B0, B1, B2, CORNER, THE_BOX, R
@@ -36,7 +36,7 @@ def build(b0: Sequence[float], b1: Sequence[float] = ASIDE, kind: type[SimWorld]
     return world
 
 
-def run(world: SimWorld, name: str, *objects: Object, monitor: ContactMonitor | None = None) -> Outcome:
+def run(world: SimWorld, name: str, *objects: Object, monitor: ContactMonitor | None = None) -> SkillOutcome:
     return run_skill(world, SKILLS[name].ground((R, *objects)), monitor)
 
 
@@ -62,7 +62,7 @@ def test_a_cornered_block_cannot_be_picked_and_the_box_is_what_was_hit(corner: t
     before = world.perceive()
     monitor = ContactMonitor(world)
     outcome = run(world, "Pick", B0, monitor=monitor)
-    assert outcome.ending is Ending.BLOCKED and "b0" in outcome.reason
+    assert outcome.ending is SkillEnd.BLOCKED and "b0" in outcome.reason
     state = world.perceive()
     assert not holding(state, (R, B0))
     assert np.linalg.norm(state[B0][:3] - before[B0][:3]) < 0.01
@@ -92,7 +92,7 @@ def test_nothing_is_inserted_on_a_cornered_block() -> None:
     assert run(world, "Pick", B0).done
     outcome = run(world, "Insert", B0, B1)
     assert not on(world.perceive(), (B0, B1))
-    assert outcome.ending is Ending.BLOCKED and "b1" in outcome.reason
+    assert outcome.ending is SkillEnd.BLOCKED and "b1" in outcome.reason
 
 
 class Misled(SimWorld):
@@ -122,7 +122,7 @@ def test_an_insertion_seats_within_the_lead_in_and_not_beyond(error: float, seat
 def test_inserting_what_is_not_in_the_hand_is_refused_without_moving() -> None:
     world = Follower(scenes.scene({"b0": FREE, "b1": ASIDE}).initial)
     outcome = run_skill(world, SKILLS["Insert"].ground((R, B0, B1)))
-    assert outcome == Outcome(Ending.REFUSED, "b0 is not in the hand")
+    assert outcome == SkillOutcome(SkillEnd.REFUSED, "b0 is not in the hand")
     assert world.tips == []
 
 
@@ -130,7 +130,7 @@ def test_closing_on_nothing_is_reported() -> None:
     """A hand that finds no block where it was seen says how far the pads closed."""
     world = Follower(scenes.scene({"b0": FREE, "b1": ASIDE}).initial)
     outcome = run_skill(world, SKILLS["Pick"].ground((R, B0)))
-    assert outcome.ending is Ending.BLOCKED and "not on b0" in outcome.reason
+    assert outcome.ending is SkillEnd.BLOCKED and "not on b0" in outcome.reason
 
 
 def test_speeds_are_settings() -> None:
@@ -206,7 +206,7 @@ class Hidden(SimWorld):
 
 def test_putting_down_what_is_not_in_the_hand_is_refused_without_moving() -> None:
     world = Follower(scenes.scene({"b0": FREE, "b1": ASIDE}).initial)
-    assert run_skill(world, SKILLS["Place"].ground((R, B0))) == Outcome(Ending.REFUSED, "b0 is not in the hand")
+    assert run_skill(world, SKILLS["Place"].ground((R, B0))) == SkillOutcome(SkillEnd.REFUSED, "b0 is not in the hand")
     assert world.tips == []
 
 
@@ -216,5 +216,5 @@ def test_where_there_is_no_room_to_put_it_down_it_says_so_without_moving() -> No
     x, y, z = RIG.tip_pose(RIG.arm.home)[:3, 3]
     world = Follower(crowd.with_features(B0, x=x, y=y, z=z), opening=scenes.WIDTH)
     outcome = run_skill(world, SKILLS["Place"].ground((R, B0)))
-    assert outcome == Outcome(Ending.REFUSED, "no free place within reach to put b0 down")
+    assert outcome == SkillOutcome(SkillEnd.REFUSED, "no free place within reach to put b0 down")
     assert world.tips == []

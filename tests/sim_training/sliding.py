@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from resync_robot.core.embodiment import Embodiment
-from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object, Predicate, Type
 from resync_robot.core.task import Task
@@ -71,7 +71,7 @@ class _Grip:
 
     def step(self, observation: Any) -> Any:
         if self.asked:
-            return Outcome(Ending.DONE)
+            return SkillOutcome(SkillEnd.DONE)
         self.asked = True
         return GRIP
 

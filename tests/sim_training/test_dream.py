@@ -10,8 +10,8 @@ import pytest
 from resync_robot.core.rig import load_rig
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.core.vocabulary import BLOCK
-from resync_robot.knowledge import model_with_recovery
 from resync_robot.learning.failures import PairGaussian
+from resync_robot.library_models import model_with_recovery
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.dream import (
     COMBINATIONS,

@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from resync_robot.core.errors import TrainingError
-from resync_robot.core.skill import Ending, Outcome, Skill
+from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain
 from resync_robot.core.world import Observation
-from resync_robot.knowledge import initial_model
 from resync_robot.learning.dataset import ATTEMPT
 from resync_robot.learning.failures import FailureModel, fit_beside, place_beside, resampling
+from resync_robot.library_models import initial_model
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.dreaming import Dream, Dreamer, Placement, causes_of, reference_of, tally
 
@@ -36,10 +36,10 @@ class Ram:
         self._robot, _, self._door = objects
         self._steps = 0
 
-    def step(self, seen: Observation) -> np.ndarray | Outcome:
+    def step(self, seen: Observation) -> np.ndarray | SkillOutcome:
         self._steps += 1
         if seen.state[self._door][2] < 0.6 or self._steps > 120:
-            return Outcome(Ending.DONE if self._steps <= 120 else Ending.TIMEOUT)
+            return SkillOutcome(SkillEnd.DONE if self._steps <= 120 else SkillEnd.TIMEOUT)
         way = seen.state[self._door][:2] - seen.state[self._robot][:2]
         return np.array([*(way / np.hypot(*way)), -1.0])
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from resync_robot.core.rig import load_rig
-from resync_robot.knowledge import initial_model
 from resync_robot.learning.failures import PairGaussian, find_culprit
+from resync_robot.library_models import initial_model
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.mine import attempt_task, is_at_rest, resample_failure
-from resync_robot.sim_training.world import SimWorld
+from resync_robot.sim_training.physics.world import SimWorld
 from tests import scenes
 from tests.libraries import DOMAIN
 from tests.scenes import B0, B1, CORNER, THE_BOX, R

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from resync_robot.core.rig import load_rig
+from resync_robot.sim_training.physics.world import SimWorld
 from resync_robot.sim_training.vector_env import CONTROL_PERIOD, RECOVERY_TORQUE, RecoveryScenes
-from resync_robot.sim_training.world import SimWorld
 from tests import scenes
 from tests.scenes import B0
-from tests.sim_training.test_world import joints_at
+from tests.sim_training.physics.test_world import joints_at
 
 RIG = load_rig()
 TASKS = [scenes.scene({"b0": (x, 0.0)}) for x in (0.0, 0.05)]

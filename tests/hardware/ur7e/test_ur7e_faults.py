@@ -27,8 +27,8 @@ from resync_robot.hardware.base import (
 from resync_robot.hardware.emulator.controller import SafetyMode
 from resync_robot.hardware.emulator.faults import FAULTS
 from resync_robot.hardware.emulator.server import Emulator
+from resync_robot.hardware.joint_moves import travel
 from resync_robot.hardware.stream import Stream
-from resync_robot.hardware.travel import travel
 from resync_robot.hardware.ur7e import Ur7e
 from tests.hardware.ur7e.motions import during_motion, is_still, link_of, swing, wait_for
 
@@ -226,7 +226,7 @@ DRIVER = """
 import sys, numpy as np
 from resync_robot.hardware.robotiq import Robotiq
 from resync_robot.hardware.stream import Stream
-from resync_robot.hardware.travel import travel
+from resync_robot.hardware.joint_moves import travel
 from resync_robot.hardware.ur7e import Ur7e
 from resync_robot.core.joints import JointTarget
 from tests import emulators

@@ -1,0 +1,142 @@
+"""The learned recovery as a skill: approach, run the policy until its beta says done, get out of the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from resync_robot.core import spatial
+from resync_robot.core.joints import JointTarget
+from resync_robot.core.library import Record
+from resync_robot.core.rig import Rig
+from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.core.world import ArmObservation
+from resync_robot.learning.recovery_policy import STUD, ActorCritic, commanded_tip, observe, project
+from resync_robot.learning.terminals import Terminal
+from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
+from resync_robot.policies.grasp import travel_height
+from resync_robot.policies.tip_over_guard import TipOverGuard, press_on
+
+RATE_HZ = 50.0
+DECISION_STEPS = 5
+"""Control steps between two decisions of the policy: 10 Hz, as it was trained."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecoverySkillSettings:
+    approach_height: float = 0.06
+    """m over the stud at which the policy takes over."""
+    travel_speed: float = 0.25
+    approach_speed: float = 0.10
+    max_decisions: int = 150
+    effort_limit: tuple[float, ...] = (40.0, 40.0, 40.0, 12.0, 12.0, 12.0)
+    """N m; as in training. Without it the arm can press harder than the block stands."""
+    closed: float = 0.010
+    """m between the pads below which the hand counts as closed. The policy has only ever pressed with closed fingers;
+    what it would do with something between them nobody has tried."""
+
+
+def recovery_skill(name: str, record: Record, rig: Rig, settings: RecoverySkillSettings | None = None) -> Skill:
+    """The skill of a library record, over (robot, block, box). Raises LibraryError on a broken record."""
+    s = settings or RecoverySkillSettings()
+    net, done = recovery_nets(record)
+    return skill_from(name, net.act, done.probability, rig, s)
+
+
+def recovery_nets(record: Record) -> tuple[ActorCritic, Terminal]:
+    """The policy and the terminal function of a record. Raises LibraryError on a broken one."""
+    net = ActorCritic.from_record(Record(record.meta.get("policy", {}), _part(record, "policy.")))
+    return net, Terminal.from_record(Record(record.meta.get("terminal", {}), _part(record, "terminal.")))
+
+
+def skill_from(
+    name: str, act: Callable[[Tensor], Tensor], done: Callable[[Tensor], Tensor], rig: Rig, s: RecoverySkillSettings
+) -> Skill:
+    """A recovery skill from a policy and a terminal function over (n, 19) observations."""
+    return Skill(
+        name,
+        (ROBOT, BLOCK, BOX),
+        lambda objects, first: run_motion(_recover(objects, first, rig, act, done, s), first),
+        RATE_HZ,
+        time_limit_s=45,
+        live_state=True,
+        effort_limit=s.effort_limit,
+    )
+
+
+def _recover(
+    objects: tuple[Object, ...],
+    first: ArmObservation,
+    rig: Rig,
+    act: Callable[[Tensor], Tensor],
+    done: Callable[[Tensor], Tensor],
+    s: RecoverySkillSettings,
+) -> Motion:
+    robot, block, box = objects
+    hand = Hand(rig, first, 1.0 / RATE_HZ, stray=np.inf)
+    above = travel_height(first.state, carried=None)
+    try:
+        refused = yield from approach(hand, first.state, block, box, above, s)
+        if refused is not None:
+            return refused
+        finished, guard = False, TipOverGuard()
+        for _ in range(s.max_decisions):
+            projected = project(hand.last.state, robot, block, box, hand.position)
+            with torch.no_grad():
+                seen = observe(projected)
+                if float(done(seen)) > 0.5:
+                    finished = True
+                    break
+                goal = commanded_tip(projected, act(seen))[0].double().numpy()
+            yield from press_on(hand, goal, DECISION_STEPS, guard)
+        yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
+    except Blocked as blocked:
+        return SkillOutcome(SkillEnd.BLOCKED, str(blocked))
+    if not finished:
+        return SkillOutcome(
+            SkillEnd.TIMEOUT, f"in {s.max_decisions} decisions the policy did not say that {block} is free"
+        )
+    return SkillOutcome(SkillEnd.DONE)
+
+
+def approach(
+    hand: Hand,
+    state: State,
+    block: Object,
+    box: Object,
+    above: float,
+    s: RecoverySkillSettings,
+    aside: tuple[float, float] = (0.0, 0.0),
+) -> Generator[JointTarget, ArmObservation, SkillOutcome | None]:
+    """Close the fingers and bring them over the block, square to the box at the smallest turn, as in training.
+
+    Args:
+        above: m, the height of the tips at which they travel.
+        aside: m beside the block's middle, along the axes of the world.
+
+    Returns:
+        None, or why the hand is in no condition for it. Raises Blocked.
+    """
+    x, y, z, height = state.get(block, "x", "y", "z", "size_z")
+    x, y = x + aside[0], y + aside[1]
+    yaw = float(spatial.wrap(spatial.yaw_of(state.get(box, "qw", "qx", "qy", "qz")), np.pi / 2))
+    yield from hand.retreat(above, s.approach_speed)
+    yield from hand.close(0.0)
+    if hand.last.opening > s.closed:
+        gap = 1000 * hand.last.opening
+        return SkillOutcome(SkillEnd.REFUSED, f"the pads stand {gap:.0f} mm apart: something is between them")
+    yield from hand.move(x, y, above, yaw, s.travel_speed)
+    start = min(above, z + height / 2 + STUD + s.approach_height)
+    yield from hand.move(x, y, start, yaw, s.approach_speed)
+    return None
+
+
+def _part(record: Record, prefix: str) -> dict[str, np.ndarray]:
+    return {k.removeprefix(prefix): v for k, v in record.tensors.items() if k.startswith(prefix)}

@@ -1,0 +1,208 @@
+"""Deployment: look around, estimate the objects, ground, plan, and stream joint targets to a robot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from resync_robot.core.errors import ConfigError
+from resync_robot.deployment.plan_files import check_plan_files, write_plan_files
+from resync_robot.deployment.settings import DeployConfig
+
+MOST_FILM_HZ = 30.0
+"""As fast as the cameras stream."""
+
+if TYPE_CHECKING:
+    from resync_robot.core.episode import Episode
+    from resync_robot.core.rig import Rig
+    from resync_robot.core.task import Domain, Task
+    from resync_robot.perception.segment import Segmenter
+
+
+def deploy(config: DeployConfig) -> int:
+    """Run the episodes of `config`, each recorded whether it succeeds or not.
+
+    Returns:
+        0 when every episode reached its goal, or was planned in a dry run, or went as recorded in a replay, and was
+        recorded whole, else 3; 3 as well where nobody knows whether the robot has stopped.
+
+    Raises:
+        ResyncError: bad input, or a machine that cannot be used.
+        KeyboardInterrupt: somebody ended it; the episode's recording is whole, and has been named.
+    """
+    from dataclasses import replace
+
+    from resync_robot.commands.sources import deployed_by_camera
+    from resync_robot.console import say
+    from resync_robot.core.files import check_folder
+    from resync_robot.core.library import load_library
+    from resync_robot.core.options import MOST_EPISODES, check_range, check_seed
+    from resync_robot.core.rig import load_rig
+    from resync_robot.core.runs import default_folder
+    from resync_robot.deployment.episode import run_episode
+    from resync_robot.deployment.replayed_episode import as_recorded, check_rig, recorded_task
+    from resync_robot.hardware.base import Halt
+    from resync_robot.learning.camera_view import VIEWS
+    from resync_robot.library_models import camera_recovery, learned_model, shipped_library
+    from resync_robot.planning.effect_hypotheses import check_goal
+    from resync_robot.signals import held
+    from resync_robot.sim_training.domains import find_arm_domain
+
+    check_range("--episodes", config.episodes, 1, MOST_EPISODES)
+    check_range("--record-pictures", config.record_pictures or 0.0, 0.0, MOST_FILM_HZ)
+    check_seed(config.seed)
+    recording = _recording(config)
+    config = config if recording is None else as_recorded(config, recording)
+    check_plan_files(config)
+    domain, rig = find_arm_domain(config.domain), load_rig(config.rig)
+    if config.backend == "ur7e":
+        _check_rig(config, rig)
+    if recording is None:
+        domain.scenario(config.scenario)
+    else:
+        check_rig(recording, rig)
+    library = load_library(config.library or shipped_library(domain.name))
+    by_camera = deployed_by_camera(config, domain, rig, library)
+    segmenter = _segmenter(config, rig)
+    model = learned_model(domain, rig, library, [camera_recovery(domain, rig, library)] if by_camera else [])
+    if recording is None:
+        tasks = [_task(config, domain, config.seed + i) for i in range(config.episodes)]
+    else:
+        tasks = [recorded_task(recording, domain)]
+    if config.goal is not None and recording is None:
+        for task in tasks:
+            # A goal out of reach is a mistake of whoever typed it: said at once, before anything moves.
+            atoms = model.abstraction.true_atoms(task.initial)
+            check_goal(model.operators, model.abstraction, task.objects, atoms, task.goal)
+    folder = config.out or default_folder("deploy")
+    check_folder(folder)
+    paths = [folder / f"episode-{i:03d}-{config.scenario}-seed{task.seed}.mcap" for i, task in enumerate(tasks)]
+    for path in paths:
+        if path.exists():
+            raise ConfigError(
+                f"{path} exists already; recordings are never overwritten", "give another folder to --out"
+            )
+    if library.rig_hash != rig.hash:
+        say(f"Note: the library was learned on another rig ({library.rig_hash}, this one is {rig.hash}).")
+    # Over a recording nothing moves by it any more.
+    complaints = calibration_complaints(config, rig) if recording is None else []
+    for line in complaints:
+        say(f"Warning: {line}.")
+    if complaints:
+        say(
+            f"  -> resync-robot calibrate check --rig {config.rig or 'rig.toml'}; for a camera that never was: "
+            "calibrate hand-eye --camera NAME"
+        )
+    backend = config.backend if recording is None else recording.meta.backend
+    simulated = backend == "sim" or (rig.controller is not None and rig.controller.emulated)
+    if rig.controller is not None and not rig.controller.full_speed:
+        say(
+            "The tip moves at 250 mm/s at most, until [controller] full_speed = true says that somebody has watched a "
+            "whole slow run."
+        )
+    noise = " (RGB-D with simulated noise)" if simulated else ""
+    say(
+        f"Poses from the wrist camera{noise}."
+        if config.perception == "camera"
+        else "Poses from the simulator (--perception oracle)."
+    )
+    if by_camera:
+        say(f"{domain.recovery} sees pictures of {', '.join(VIEWS)}, the joints, and what the scan measured.")
+    elif simulated:
+        say(
+            f"{domain.recovery} follows its block through the simulator's state while it runs; "
+            "everything else is estimated."
+        )
+    config = replace(config, skills="camera" if by_camera else "state")
+    good = 0
+    for i, (task, path) in enumerate(zip(tasks, paths, strict=True)):
+        # Whoever ends the program meanwhile waits until the robot is let go and the recording closed and named.
+        with held():
+            outcome = run_episode(config, rig, library, model, task, i, path, recording, segmenter)
+            good += outcome.good
+            try:
+                say(f"Episode {i + 1}/{len(tasks)}: {outcome.verdict}; {outcome.skills} skills. {outcome.kept(path)}")
+            finally:
+                # Also where the terminal is gone that this was to be said on.
+                if outcome.error is not None:
+                    raise outcome.error
+            if outcome.fix:
+                say(f"  -> {outcome.fix}")
+            if config.pddl is not None and outcome.result.plans:
+                say(write_plan_files(config.pddl, domain, model, task, config.scenario, outcome.result.plans[0]))
+        # Nobody could find out later what an unrecorded episode did.
+        ends = outcome.halt.value if outcome.halt is Halt.UNKNOWN else "" if outcome.recorded else "nothing is recorded"
+        if ends:
+            if i + 1 < len(tasks):
+                say(f"The other {len(tasks) - i - 1} episodes are not begun: {ends}.")
+            break
+    done = "were planned" if config.dry_run else "reached the goal"
+    if recording is not None:
+        done = "went as recorded"
+    review = f" Review:  resync-robot review {path}" if path.exists() else ""
+    say(f"{good} of {len(tasks)} episodes {done}.{review}")
+    return 0 if good == len(tasks) and outcome.halt is not Halt.UNKNOWN and outcome.recorded else 3
+
+
+def calibration_complaints(config: DeployConfig, rig: Rig) -> list[str]:
+    """What is old, bad or missing in the calibration of the rig's cameras, a line each.
+
+    A simulated or emulated camera stands where the rig says it does; on a real rig every camera needs a calibration.
+    """
+    from datetime import date
+
+    from resync_robot.core.calibration_record import complaints
+
+    records = {camera.name: camera.calibration for camera in rig.cameras}
+    real = config.backend == "ur7e" and not (rig.controller is not None and rig.controller.emulated)
+    return complaints(records, rig.calibration_limits, date.today(), expected=real)
+
+
+def _segmenter(config: DeployConfig, rig: Rig) -> Segmenter | None:
+    """The one asked for, None for that by colour. Raises PerceptionError where it cannot be had."""
+    if config.segmenter == "colour":
+        return None
+    from resync_robot.perception.objects import catalogue_of
+    from resync_robot.perception.sam3 import sam3_segmenter
+
+    return sam3_segmenter(rig.sam3, catalogue_of(rig), rig.where)
+
+
+def _check_rig(config: DeployConfig, rig: Rig) -> None:
+    """What the ur7e backend needs to know before anything is read or moved. Raises RobotError or ConfigError."""
+    from resync_robot.hardware.ur7e import require_controller
+
+    emulated = require_controller(rig).emulated
+    if not emulated and config.perception == "oracle":
+        raise ConfigError("no real robot knows where things are", "use --perception camera")
+
+
+def _recording(config: DeployConfig) -> Episode | None:
+    """What --backend replay runs over. Raises ConfigError or EpisodeError."""
+    from resync_robot.console import say
+    from resync_robot.core.episode import read_episode
+
+    if config.backend != "replay":
+        if config.replay is not None:
+            raise ConfigError(f"--replay {config.replay} is for --backend replay", "add --backend replay, or leave it")
+        return None
+    if config.replay is None:
+        raise ConfigError("--backend replay needs a recording", "give one with --replay EPISODE.mcap")
+    if config.episodes != 1:
+        raise ConfigError(f"--episodes is {config.episodes}; a recording holds one")
+    recording = read_episode(config.replay, unbroken=True)
+    if recording.missing:
+        # Each look is answered by the next one that was recorded; where one is missing, all later ones would be wrong.
+        say(
+            f"Warning: {recording.path} is not whole: {recording.loss}. A replay needs every look in its order, so it "
+            f"has only what comes before the first that is missing: {recording.duration:.1f} s."
+        )
+    return recording
+
+
+def _task(config: DeployConfig, domain: Domain, seed: int) -> Task:
+    from dataclasses import replace
+
+    from resync_robot.sim_training.domains import world_task
+
+    task = world_task(domain, config.scenario, config.seed, seed - config.seed)
+    return task if config.goal is None else replace(task, goal=domain.parse_goal(config.goal, task.objects))

@@ -1,0 +1,1 @@
+"""What evaluations measure, of whole episodes and of perception alone, as tables and files."""

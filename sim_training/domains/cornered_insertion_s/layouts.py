@@ -1,0 +1,136 @@
+"""Where things begin: boxes, block sizes, and blocks in corners, against walls, in between and free."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from resync_robot.core import spatial
+from resync_robot.core.rig import load_rig
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atoms
+from resync_robot.core.task import Task
+from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.sim_training.domains.cornered_insertion_s.corner import at_walls, block_features
+from resync_robot.sim_training.physics.parts import BOX_FLOOR
+from resync_robot.sim_training.physics.randomise import USUAL, Ranges, draw_physics
+
+R, THE_BOX = ROBOT("r"), BOX("box")
+
+CORNER_GAP = (0.0005, 0.003)
+"""Gap to each of the two walls of a cornered block, m."""
+MIDDLING_GAP = (0.005, 0.035)
+"""The same of a block between cornered and free: some skills work on it, others do not."""
+FREE_GAP = 0.045
+"""Least gap to every wall of a block that begins free, m."""
+APART = 0.16
+"""Least distance between the centres of a cornered block and a free one in the box, m: room to be dragged into."""
+
+
+def sample_box(rng: np.random.Generator) -> np.ndarray:
+    """(11,) features of the box: where it stands on the table, and how large it is."""
+    x, y, yaw = rng.uniform(0.45, 0.51), rng.uniform(-0.03, 0.03), rng.uniform(-0.2, 0.2)
+    inner = rng.uniform(0.28, 0.32, 2)
+    return np.array([x, y, BOX_FLOOR, *spatial.quat_from_yaw(yaw), *inner, rng.uniform(0.10, 0.115), 0.03])
+
+
+def sample_block_sizes(rng: np.random.Generator, names: Sequence[str], ranges: Ranges = USUAL) -> dict[str, np.ndarray]:
+    """(3,) extents of each body: one footprint for the set, as building blocks have, and a height each."""
+    width = ranges.draw(rng, 0.046, 0.070)
+    sizes = {}
+    for name in names:
+        # Moulded building blocks agree to a hundredth of a millimetre. Rubber pads would bear more; rigid ones do not.
+        side = width + rng.uniform(-0.00001, 0.00001)
+        sizes[name] = np.array([side, side, ranges.draw(rng, 0.040, 0.050)])
+    return sizes
+
+
+def corner_pose(
+    rng: np.random.Generator, box: np.ndarray, width: float, corner: int, gap: tuple[float, float] = CORNER_GAP
+) -> tuple[float, float, float]:
+    """(x, y, yaw) in the box's frame, in corner 0-3 with a gap to each of its walls."""
+    sx, sy = ((1, 1), (1, -1), (-1, 1), (-1, -1))[corner]
+    yaw = rng.uniform(-0.03, 0.03) + rng.integers(4) * np.pi / 2
+    x, y = at_walls(box, width, yaw, np.array([sx, sy]), rng.uniform(*gap, 2))
+    return float(x), float(y), yaw
+
+
+def wall_pose(rng: np.random.Generator, box: np.ndarray, width: float, wall: int) -> tuple[float, float, float]:
+    """(x, y, yaw) in the box's frame, against the middle of wall 0-3 only."""
+    yaw = rng.uniform(-0.03, 0.03) + rng.integers(4) * np.pi / 2
+    axis, sign = wall // 2, 1 - 2 * (wall % 2)
+    place = at_walls(box, width, yaw, float(sign), rng.uniform(*CORNER_GAP))
+    place[1 - axis] = rng.uniform(-0.06, 0.06)
+    return float(place[0]), float(place[1]), yaw
+
+
+def free_in_box(rng: np.random.Generator, box: np.ndarray, width: float) -> tuple[float, float, float]:
+    room = box[7:9] / 2 - width * 0.71 - FREE_GAP
+    x, y = rng.uniform(-room, room)
+    return float(x), float(y), rng.uniform(-np.pi, np.pi)
+
+
+def free_on_table(rng: np.random.Generator, box: np.ndarray) -> tuple[float, float, float]:
+    """(x, y, yaw) in the box's frame, to the left or right of it."""
+    beside = box[8] / 2 + box[10] + rng.uniform(0.085, 0.13)
+    return rng.uniform(-0.10, 0.08), float(rng.choice([-1, 1])) * beside, rng.uniform(-np.pi, np.pi)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where the blocks of a task begin.
+
+    Attributes:
+        cornered: in a corner of the box.
+        walled: against one wall only.
+        gapped: in a corner with `MIDDLING_GAP` to each of the walls.
+        free: with room on all sides, in the box or on the table.
+        in_box: probability that a free block stands in the box.
+    """
+
+    cornered: tuple[str, ...] = ()
+    walled: tuple[str, ...] = ()
+    gapped: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
+    in_box: float = 0.5
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*self.cornered, *self.walled, *self.gapped, *self.free)
+
+
+def sample_task(rng: np.random.Generator, seed: int, goal: Atoms, layout: Layout, ranges: Ranges = USUAL) -> Task:
+    """A task with every block where `layout` wants it."""
+    rig = load_rig()
+    while True:
+        box = sample_box(rng)
+        corners = iter(rng.permutation(4))
+        sizes = sample_block_sizes(rng, layout.names, ranges)
+        local: dict[str, tuple[float, float, float]] = {}
+        outside: set[str] = set()
+        for name in layout.cornered:
+            local[name] = corner_pose(rng, box, sizes[name][0], int(next(corners)))
+        for name in layout.gapped:
+            local[name] = corner_pose(rng, box, sizes[name][0], int(next(corners)), MIDDLING_GAP)
+        for name in layout.walled:
+            local[name] = wall_pose(rng, box, sizes[name][0], int(rng.integers(4)))
+        for name in layout.free:
+            if rng.random() < layout.in_box:
+                local[name] = free_in_box(rng, box, sizes[name][0])
+            else:
+                local[name] = free_on_table(rng, box)
+                outside.add(name)
+        if _apart(local):
+            break
+    features = {BLOCK(n): block_features(box, local[n], sizes[n], n in outside) for n in sorted(local)}
+    features[THE_BOX] = box
+    features[R] = np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, rig.gripper.max_opening])
+    state = State(features)
+    return Task(state.objects, state, goal, draw_physics(rng, sorted(local), ranges), seed)
+
+
+def _apart(local: dict[str, tuple[float, float, float]]) -> bool:
+    places = [np.array(p[:2]) for p in local.values()]
+    return all(np.linalg.norm(a - b) > APART for i, a in enumerate(places) for b in places[i + 1 :])

@@ -1,0 +1,1 @@
+"""An emulated lab: a simulated world behind the protocols of a real machine."""

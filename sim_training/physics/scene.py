@@ -1,0 +1,402 @@
+"""Builds one SAPIEN scene from a rig and a task: arm, table, box, blocks, lights, cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import as_file, files
+from tempfile import NamedTemporaryFile
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import sapien
+from sapien import physx, render
+
+from resync_robot.core.errors import ConfigError, RenderError
+from resync_robot.core.joints import ARM_JOINTS
+from resync_robot.core.machines import ARMS
+from resync_robot.core.rig import CameraRig, Rig
+from resync_robot.core.symbols import Object
+from resync_robot.core.task import Task
+from resync_robot.core.vocabulary import BLOCK, BOX
+from resync_robot.core.world import Window
+from resync_robot.sim_training.physics import parts, textures
+from resync_robot.sim_training.physics.lights import add_lights
+from resync_robot.sim_training.physics.solver import Solver, solver_of
+
+FINGER_JOINTS = ("left_finger_joint", "right_finger_joint")
+TARGET_PERIOD = 0.02
+"""s between two drive targets of a learned skill: as smooth as the arm can tell, at half the calls."""
+
+STIFFNESS, DAMPING = 6000.0, 300.0
+TORQUE = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
+FINGER_STIFFNESS, FINGER_DAMPING = 3000.0, 150.0
+
+
+def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
+    """A scene with every object at its initial pose and the arm at the rig's home.
+
+    Args:
+        task: objects, their initial features, and the physics drawn for this task.
+        rendered: build visuals, lights and cameras too (needs a Vulkan device).
+
+    Raises:
+        RenderError: `rendered`, and no device can render.
+    """
+    solver = solver_of(task.physics)
+    physx.set_scene_config(gravity=np.array(solver.gravity, dtype=np.float32), enable_tgs=False)
+    systems = [physx.PhysxCpuSystem()]
+    if rendered:
+        _configure_renderer()
+        systems.append(render.RenderSystem())
+    scene = sapien.Scene(systems)
+    scene.set_timestep(solver.period)
+    physics = task.physics
+    robot = add_robot(scene, rig, physics, rendered)
+    add_table(scene, physics, rendered)
+    bodies = {}
+    for obj in task.objects:
+        if obj.type == BOX:
+            bodies[obj] = add_box(scene, obj, task, rendered)
+        elif obj.type == BLOCK:
+            bodies[obj] = add_block(scene, obj, task, rendered)
+    cameras = {}
+    if rendered:
+        for camera in rig.cameras:
+            cameras[camera.name] = add_camera(scene, robot, camera, camera.pose, (camera.width, camera.height))
+            look_through(cameras[camera.name], camera, whole_picture(camera))
+    if rendered:
+        add_lights(scene, physics.get("light", {}))
+    return BuiltScene(scene, robot, bodies, cameras, float(physics.get("gain", 1.0)), solver)
+
+
+class BuiltScene:
+    """Handles into one scene. Finger openings are the free distance between the pads."""
+
+    def __init__(
+        self,
+        scene: sapien.Scene,
+        robot: physx.PhysxArticulation,
+        bodies: Mapping[Object, sapien.Entity],
+        cameras: Mapping[str, render.RenderCameraComponent],
+        gain: float,
+        solver: Solver,
+    ) -> None:
+        self.solver = solver
+        self.stiffness, self.damping = STIFFNESS * gain, DAMPING * gain
+        self.scene, self.robot, self.bodies, self.cameras = scene, robot, dict(bodies), dict(cameras)
+        joints = {j.name: j for j in robot.active_joints}
+        self.arm_joints = [joints[n] for n in ARM_JOINTS]
+        self.finger_joints = [joints[n] for n in FINGER_JOINTS]
+        order = [j.name for j in robot.active_joints]
+        self.arm_index = np.array([order.index(n) for n in ARM_JOINTS])
+        self.finger_index = np.array([order.index(n) for n in FINGER_JOINTS])
+        links = {link.name: link for link in robot.links}
+        self._moved_by_arm = [robot.links.index(joint.child_link) for joint in self.arm_joints]
+        self.flange = links["flange"]
+        self.hand = {links[n] for n in ("flange", "left_finger", "right_finger")}
+        self.set_torque_limits(TORQUE)
+        self.rigid = {
+            obj: entity.find_component_by_type(physx.PhysxRigidDynamicComponent) for obj, entity in self.bodies.items()
+        }
+
+    def set_torque_limits(self, torque: tuple[float, ...]) -> None:
+        """(6,) N m; a learned skill runs with lower ones than a scripted one."""
+        for joint, limit in zip(self.arm_joints, torque, strict=True):
+            joint.set_drive_properties(self.stiffness, self.damping, limit)
+
+    def joint_torques(self) -> np.ndarray:
+        """(6,) N m about their axes that the arm's joints passed on to what they move, in the last step."""
+        return np.asarray(self.robot.get_link_incoming_joint_forces(), dtype=np.float64)[self._moved_by_arm, 3]
+
+    def set_configuration(self, q: np.ndarray, opening: float) -> None:
+        """Put the robot somewhere at rest, drive targets included."""
+        full = np.zeros(self.robot.dof, dtype=np.float32)
+        full[self.arm_index], full[self.finger_index] = q, opening / 2
+        self.robot.set_qpos(full)
+        self.robot.set_qvel(np.zeros_like(full))
+        self.drive(q, opening)
+
+    def approach(self, begin: np.ndarray, goal: np.ndarray, opening: float, duration: float) -> None:
+        """Step for `duration` s while the drives' targets go evenly from (6,) `begin` to (6,) `goal`."""
+        steps, every = self.solver.steps(duration), self.solver.steps(TARGET_PERIOD)
+        for i in range(steps):
+            if i % every == 0:
+                self.drive(begin + (goal - begin) * min(1.0, (i + every) / steps), opening)
+            self.scene.step()
+
+    def drive(self, q: np.ndarray, opening: float) -> None:
+        for joint, value in zip(self.arm_joints, q, strict=True):
+            joint.set_drive_target(float(value))
+        for joint in self.finger_joints:
+            joint.set_drive_target(opening / 2)
+
+
+def _material(friction: float, solver: Solver) -> physx.PhysxMaterial:
+    return physx.PhysxMaterial(friction, friction, solver.restitution)
+
+
+def _visual(
+    colour: Any, roughness: float = 0.6, metallic: float = 0.0, surface: Mapping[str, Any] | None = None
+) -> render.RenderMaterial:
+    material = render.RenderMaterial()
+    if surface is not None:
+        colour, roughness, metallic = surface["colour"], surface["roughness"], surface["metallic"]
+        pixels = textures.surface(surface["kind"], surface["seed"], surface["contrast"], tuple(map(float, colour)))
+        material.base_color_texture = render.RenderTexture2D(pixels, "R8G8B8A8Unorm")
+    material.base_color = [*(float(c) for c in colour[:3]), 1.0]
+    material.roughness, material.metallic, material.specular = roughness, metallic, 0.3
+    return material
+
+
+@cache
+def urdf_path() -> str:
+    """Where the robot's description lies."""
+    with as_file(files("resync_robot.sim_training").joinpath("assets/ur7e_2f140.urdf")) as path:
+        return str(path)
+
+
+@cache
+def _bodies_only() -> str:
+    """The robot's description without its looks: reading those asks for a render device, which physics needs not."""
+    tree = ElementTree.parse(urdf_path())
+    for link in tree.getroot().iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    return ElementTree.tostring(tree.getroot(), encoding="unicode")
+
+
+def require_simulated(rig: Rig) -> None:
+    """Raises ConfigError where the rig's arm or gripper is not the one that is described for the simulator."""
+    if rig.arm.kinematics != ARMS["ur7e"].kinematics or rig.gripper.model != "2f-140":
+        alike = [name for name, arm in ARMS.items() if arm.kinematics == ARMS["ur7e"].kinematics]
+        raise ConfigError(
+            f"the rig '{rig.name}' is a {rig.arm.facts.title} with a {rig.gripper.facts.title}, of which there is no "
+            f"simulation; allowed: {' or '.join(alike)} with 2f-140",
+            "drive it with --backend ur7e, or simulate with a rig of those",
+        )
+
+
+def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendered: bool) -> physx.PhysxArticulation:
+    require_simulated(rig)
+    loader = scene.create_urdf_loader()
+    loader.fix_root_link = True
+    if rendered:
+        builder = loader.parse(urdf_path())[0][0]
+    else:
+        with NamedTemporaryFile("w", suffix=".urdf", encoding="utf-8") as file:
+            file.write(_bodies_only())
+            file.flush()
+            builder = loader.parse(file.name)[0][0]
+    builder.initial_pose = sapien.Pose(rig.arm.world_T_base)
+    robot = builder.build(fix_root_link=True)
+    solver = solver_of(physics)
+    pad, steel = _material(physics["friction_pad"], solver), _material(0.3, solver)
+    for link in robot.links:
+        link.disable_gravity = True
+        for shape in link.collision_shapes:
+            shape.physical_material = pad if link.name.endswith("finger") else steel
+            # A shared bit in the third word: the robot's own links do not collide with each other.
+            shape.set_collision_groups([1, 1, 1, 0])
+            shape.contact_offset = solver.contact_offset
+    robot.set_solver_position_iterations(solver.arm_iterations)
+    joints = {j.name: j for j in robot.active_joints}
+    for name in ARM_JOINTS:
+        joints[name].set_armature([0.02])
+    for name in FINGER_JOINTS:
+        joints[name].set_drive_properties(FINGER_STIFFNESS, FINGER_DAMPING, rig.gripper.max_force)
+        joints[name].set_armature([0.02])
+    return robot
+
+
+def _entity(scene: sapien.Scene, name: str, pose: sapien.Pose) -> sapien.Entity:
+    entity = sapien.Entity()
+    entity.name = name
+    entity.set_pose(pose)
+    return entity
+
+
+def _attach_shapes(
+    body: physx.PhysxRigidBaseComponent,
+    look: render.RenderBodyComponent | None,
+    shapes: list[parts.Convex | parts.Cuboid],
+    friction: float,
+    solver: Solver,
+    paint: Any,
+) -> None:
+    material = _material(friction, solver)
+    for shape in shapes:
+        if isinstance(shape, parts.Cuboid):
+            solid = physx.PhysxCollisionShapeBox(shape.half.astype(np.float32), material)
+            solid.local_pose = sapien.Pose(shape.centre)
+        else:
+            scale = np.ones(3, dtype=np.float32)
+            solid = physx.PhysxCollisionShapeConvexMesh(shape.vertices.astype(np.float32), scale, material)
+        solid.contact_offset = solver.contact_offset
+        body.attach(solid)
+    if look is not None:
+        attach_looks(look, shapes, paint)
+
+
+def attach_looks(
+    look: render.RenderBodyComponent, shapes: list[parts.Convex | parts.Cuboid], paint: render.RenderMaterial
+) -> None:
+    """Let a body look like these shapes."""
+    for shape in shapes:
+        if isinstance(shape, parts.Cuboid):
+            drawn = render.RenderShapeBox(shape.half.astype(np.float32), paint)
+            drawn.local_pose = sapien.Pose(shape.centre)
+        else:
+            vertices, triangles, normals = parts.hull_triangles(shape.vertices)
+            uvs = np.zeros((len(vertices), 2), dtype=np.float32)
+            drawn = render.RenderShapeTriangleMesh(
+                vertices.astype(np.float32), triangles, normals.astype(np.float32), uvs, paint
+            )
+        look.attach(drawn)
+
+
+def add_table(scene: sapien.Scene, physics: Mapping[str, Any], rendered: bool) -> None:
+    slab = parts.Cuboid(np.array([0.35, -0.05, -0.02]), np.array([0.75, 0.75, 0.02]))
+    colour = physics.get("table_colour", (0.75, 0.68, 0.58))
+    paint = _visual(colour, surface=physics.get("surfaces", {}).get("table")) if rendered else None
+    _add_static(scene, "table", sapien.Pose(), [slab], 0.4, solver_of(physics), paint)
+
+
+def _add_static(
+    scene: sapien.Scene,
+    name: str,
+    pose: sapien.Pose,
+    shapes: Any,
+    friction: float,
+    solver: Solver,
+    paint: render.RenderMaterial | None,
+) -> sapien.Entity:
+    entity = _entity(scene, name, pose)
+    body = physx.PhysxRigidStaticComponent()
+    look = render.RenderBodyComponent() if paint is not None else None
+    _attach_shapes(body, look, shapes, friction, solver, paint)
+    entity.add_component(body)
+    if look is not None:
+        entity.add_component(look)
+    scene.add_entity(entity)
+    return entity
+
+
+def add_box(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
+    shapes = parts.box_shapes(*task.initial.get(obj, "inner_x", "inner_y", "wall_z", "wall_thickness"))
+    pose = _pose(task.initial[obj][:7])
+    colour = task.physics.get("box_colour", (0.35, 0.37, 0.40))
+    paint = _visual(colour, surface=task.physics.get("surfaces", {}).get("box")) if rendered else None
+    solver = solver_of(task.physics)
+    return _add_static(scene, obj.name, pose, shapes, task.physics["friction_box"], solver, paint)
+
+
+def add_block(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
+    size = task.initial.get(obj, "size_x", "size_y", "size_z")
+    colour = task.physics["colours"][obj.name]
+    entity = _entity(scene, obj.name, _pose(task.initial[obj][:7]))
+    body = physx.PhysxRigidDynamicComponent()
+    look = render.RenderBodyComponent() if rendered else None
+    solver = solver_of(task.physics)
+    paint = _visual(colour, roughness=float(task.physics.get("gloss", 0.45))) if rendered else None
+    _attach_shapes(body, look, parts.block_shapes(tuple(size)), task.physics["friction_block"], solver, paint)
+    # A hollow socket shifts mass and inertia little; a solid cuboid's inertia is what the blocks have.
+    mass = float(task.physics["masses"][obj.name]) * solver.inertia
+    body.mass = mass
+    body.inertia = (
+        mass / 12 * np.array([size[1] ** 2 + size[2] ** 2, size[0] ** 2 + size[2] ** 2, size[0] ** 2 + size[1] ** 2])
+    ).astype(np.float32)
+    body.solver_position_iterations = solver.iterations
+    body.linear_damping, body.angular_damping = 0.05, 0.1
+    entity.add_component(body)
+    if look is not None:
+        entity.add_component(look)
+    scene.add_entity(entity)
+    return entity
+
+
+def _pose(features: np.ndarray) -> sapien.Pose:
+    return sapien.Pose(np.asarray(features[:3]), np.asarray(features[3:7]))
+
+
+def add_camera(
+    scene: sapien.Scene,
+    robot: physx.PhysxArticulation,
+    camera: CameraRig,
+    pose: np.ndarray,
+    size: tuple[int, int],
+) -> render.RenderCameraComponent:
+    """A camera that renders (width, height) pixels, at (4, 4) `pose` in its mount, OpenCV axes.
+
+    It sees nothing until `look_through` has given it a window.
+    """
+    component = render.RenderCameraComponent(*size)
+    if camera.mount == "flange":
+        next(link for link in robot.links if link.name == "flange").entity.add_component(component)
+    else:
+        entity = _entity(scene, f"camera_{camera.name}", sapien.Pose())
+        entity.add_component(component)
+        scene.add_entity(entity)
+    place_camera(component, camera, pose)
+    return component
+
+
+def place_camera(component: render.RenderCameraComponent, camera: CameraRig, pose: np.ndarray) -> None:
+    """Put it at (4, 4) `pose` in its mount, OpenCV axes."""
+    # SAPIEN cameras look along x with z up; OpenCV's along z with y down.
+    axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+    component.local_pose = sapien.Pose(pose @ axes)
+
+
+def look_through(
+    component: render.RenderCameraComponent, camera: CameraRig, window: Window, focal: float = 1.0
+) -> None:
+    """Make the component render what lies in a window of the camera's picture.
+
+    Args:
+        focal: factor on the camera's focal length.
+    """
+    across, down = component.width / window.width, component.height / window.height
+    # The renderer counts pixels from their upper left edge, as windows do; cameras and OpenCV from their middle.
+    cx, cy = (camera.cx + 0.5 - window.left) * across, (camera.cy + 0.5 - window.top) * down
+    component.set_perspective_parameters(0.05, 5.0, camera.fx * focal * across, camera.fy * focal * down, cx, cy, 0.0)
+
+
+def whole_picture(camera: CameraRig) -> Window:
+    return Window(0.0, 0.0, float(camera.width), float(camera.height))
+
+
+def colour_of(component: render.RenderCameraComponent) -> np.ndarray:
+    """(H, W, 3) uint8 RGB of the picture that was taken last."""
+    return (np.clip(component.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
+
+
+@cache
+def _configure_renderer() -> render.RenderSystem:
+    """The cache keeps this system for as long as the process lives: when the last one goes, so do the compiled
+    shaders, and the next scene compiles them anew, which takes a software driver seconds."""
+    render.set_camera_shader_dir("default")
+    try:
+        return render.RenderSystem()
+    except Exception as error:  # SAPIEN raises RuntimeError or a pybind error depending on what is missing
+        raise RenderError(
+            f"no Vulkan device can render: {error}", "run: bash scripts/install_vulkan.sh, then resync-robot doctor"
+        ) from None
+
+
+def require_renderer() -> None:
+    """Raises RenderError where no device can render."""
+    _configure_renderer()
+
+
+def camera_pose_in_world(component: render.RenderCameraComponent) -> np.ndarray:
+    """(4, 4) world_T_cam in OpenCV axes, as simulated."""
+    axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+    return component.global_pose.to_transformation_matrix() @ axes.T
+
+
+def features_of(pose: sapien.Pose) -> np.ndarray:
+    """(7,) x y z qw qx qy qz with qw >= 0."""
+    quat = pose.q if pose.q[0] >= 0 else -pose.q
+    return np.concatenate([pose.p, quat]).astype(np.float64)

@@ -1,0 +1,302 @@
+"""What a skill may look at while it moves, and where the robot looks again before it acts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from resync_robot.core import spatial
+from resync_robot.core.episode import Answer, Ask, Timing
+from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
+from resync_robot.core.rig import load_rig
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atom, Object, Predicate
+from resync_robot.core.vocabulary import BLOCK, BOX, TYPES
+from resync_robot.core.world import CameraFrame, Cutout, Window
+from resync_robot.deployment import world as worlds
+from resync_robot.deployment.uncertain_atoms import SampledAbstraction
+from resync_robot.deployment.world import MORE_LOOKS, DeployedWorld, OracleWorld, walled
+from resync_robot.hardware.base import ProtectiveStopError
+from resync_robot.hardware.sim import SimRobot
+from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.naming import MissingObjectsError
+from resync_robot.perception.scan import Scan
+from resync_robot.planning.abstract import Abstraction
+from resync_robot.sim_training.physics.world import SimWorld
+from tests import scenes
+from tests.perception.raycast import FLOOR, Table
+
+RIG = load_rig()
+
+
+def _silent(*args: object) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Told:
+    """A witness that passes some of it on."""
+
+    on_answer: Callable[..., None] = _silent
+    on_picture: Callable[..., None] = _silent
+    on_scan: Callable[..., None] = _silent
+    on_look: Callable[..., None] = _silent
+    on_timing: Callable[..., None] = _silent
+    on_doubt: Callable[..., None] = _silent
+    on_unsettled: Callable[..., None] = _silent
+
+
+WINDOW = Window(10.0, 20.0, 32.0, 32.0)
+
+
+@dataclass
+class Whole:
+    """A camera that gives whole pictures only."""
+
+    name: str = "front"
+    size: tuple[int, int] = (424, 240)
+    asked: list[str] = field(default_factory=list)
+
+    def connect(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def capture(self) -> CameraFrame:
+        width, height = self.size
+        colour = np.full((height, width, 3), 90, dtype=np.uint8)
+        return CameraFrame(self.name, colour, np.zeros((height, width), np.uint16), np.eye(3), np.eye(4), 1.25)
+
+
+class Windowed(Whole):
+    """One that gives parts for less."""
+
+    def cut_out(self, window: Window, size: int) -> Cutout:
+        self.asked.append(f"{window.left:.0f} {size}")
+        return Cutout(self.name, np.zeros((size, size, 3), dtype=np.uint8), 2.5)
+
+
+@pytest.fixture
+def world() -> OracleWorld:
+    simulated = SimWorld(scenes.scene({"b0": (0.0, 0.0)}), RIG)
+    robot = SimRobot(simulated)
+    robot.connect()
+    cameras = {"front": Whole(), "side": Windowed("side"), "wrist": Whole("wrist", (640, 480))}
+    return OracleWorld(robot, cameras, RIG, simulated.task.objects, simulated.perceive)
+
+
+def test_a_part_is_cut_from_the_whole_or_taken_as_the_camera_gives_it(world: OracleWorld) -> None:
+    look = world.observe().look
+    assert look is not None
+    cut = look("front", WINDOW, 16)
+    assert cut.colour.shape == (16, 16, 3) and (cut.colour == 90).all()
+    assert cut.time == 1.25
+    assert look("side", WINDOW, 16).time == 2.5
+
+
+def test_a_camera_that_is_not_there_or_mis_sized_is_named(world: OracleWorld) -> None:
+    look = world.observe().look
+    assert look is not None
+    with pytest.raises(UnknownNameError, match="ceiling"):
+        look("ceiling", WINDOW, 16)
+    with pytest.raises(PerceptionError, match=r"'wrist'.*640 x 480"):
+        look("wrist", WINDOW, 16)
+
+
+def test_a_simulated_robot_waits_for_whoever_thinks(world: OracleWorld) -> None:
+    with ThreadPoolExecutor(1) as thread:
+        thought = thread.submit(time.sleep, 0.05)
+        assert world.observe().ready(thought) and thought.done()
+        broken = thread.submit(lambda: 1 / 0)
+        assert world.observe().ready(broken)
+
+
+def test_whatever_the_executive_is_told_the_witness_is_told_in_that_order(world: OracleWorld) -> None:
+    answers: list[Answer] = []
+    world._witness = Told(on_answer=answers.append)
+    state = world.perceive()
+    world.limit_effort(None)
+    seen = world.observe()
+    assert seen.look is not None
+    seen.look("side", WINDOW, 16)
+    with ThreadPoolExecutor(1) as thread:
+        seen.ready(thread.submit(lambda: None))
+    kinds = [Ask.MEASURE, Ask.TRUTH, Ask.REST, Ask.MEASURE, Ask.MEASURE, Ask.TRUTH, Ask.PART, Ask.THOUGHT]
+    assert [a.ask for a in answers] == kinds
+    assert State.from_json(answers[1].details["objects"], TYPES) == state
+    np.testing.assert_array_equal(answers[4].details["arm"], seen.arm)
+    assert answers[6].details["camera"] == "side" and answers[6].clock == 2.5
+    assert answers[7].details["done"] is True
+    np.testing.assert_array_equal(answers[2].target.arm, world.stream.target.arm)
+
+
+def test_a_box_is_kept_free_of_all_but_the_hand() -> None:
+    state = scenes.scene({"b0": (0.0, 0.0)}).initial
+    box = next(o for o in state if o.type == BOX)
+    inner_x, inner_y, wall, thickness = state.get(box, "inner_x", "inner_y", "wall_z", "wall_thickness")
+    kept = walled(state, box)
+    assert kept.name == box.name
+    np.testing.assert_allclose(2 * kept.half, [inner_x + 2 * thickness, inner_y + 2 * thickness, wall])
+    corner = kept.world_T_middle @ np.array([*kept.half, 1.0])
+    floor = spatial.pose_from_features(state[box][:7])
+    np.testing.assert_allclose(corner[2], floor[2, 3] + wall)
+    np.testing.assert_allclose(kept.world_T_middle[:2, 3], floor[:2, 3])
+
+
+def test_every_target_says_how_old_the_pictures_behind_it_are(world: OracleWorld) -> None:
+    timings: list[Timing] = []
+    world._witness = Told(on_timing=timings.append)
+    look = world.observe().look
+    assert look is not None
+    look("side", WINDOW, 16)
+    look("front", WINDOW, 16)
+    world.act(world.stream.target, 0.02)
+    world.act(world.stream.target, 0.02)
+    assert [t.picture for t in timings] == [1.25, None]
+    assert timings[0].asked <= timings[0].due < timings[1].due
+    assert all(0 < t.computed < 1 for t in timings)
+
+
+def stopping(*args: object) -> None:
+    raise ProtectiveStopError("the robot made a protective stop")
+
+
+def test_a_protective_stop_is_acknowledged_wherever_it_surfaces(
+    world: OracleWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[ProtectiveStopError] = []
+    world._on_stop = asked.append
+    monkeypatch.setattr(world.stream, "run", stopping)
+    monkeypatch.setattr(world.stream, "stop", stopping)
+    with pytest.raises(InterruptedMotionError):
+        world.act(world.stream.target, 0.02)
+    # The skill has ended, and nothing is interrupted.
+    world.limit_effort(None)
+    assert len(asked) == 2
+    world._on_stop = None
+    for move in (lambda: world.act(world.stream.target, 0.02), lambda: world.limit_effort(None)):
+        with pytest.raises(ProtectiveStopError):
+            move()
+
+
+def test_pictures_behind_a_target_that_was_refused_are_not_counted_for_the_next(
+    world: OracleWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timings: list[Timing] = []
+    world._witness = Told(on_timing=timings.append)
+    look = world.observe().look
+    assert look is not None
+    look("side", WINDOW, 16)
+    with monkeypatch.context() as m, pytest.raises(ProtectiveStopError):
+        m.setattr(world.stream, "run", stopping)
+        world.act(world.stream.target, 0.02)
+    world.act(world.stream.target, 0.02)
+    assert [t.picture for t in timings] == [None]
+
+
+STRIPED = Predicate("Striped", (BLOCK,))
+ROUND = len(Scan(RIG).configurations)
+
+
+class Eye(Whole):
+    """A wrist camera that sees a drawn table from wherever the arm was sent."""
+
+    def __init__(self, table: Table) -> None:
+        super().__init__("wrist")
+        self.table, self.at = table, [RIG.arm.home]
+
+    def capture(self) -> CameraFrame:
+        self.asked.append("picture")
+        return self.table.picture(self.at[-1])
+
+
+@dataclass
+class Looking:
+    """A deployment that looks at a drawn table with one block at x = 0.45."""
+
+    world: DeployedWorld
+    eye: Eye
+    doubts: list[tuple[dict[str, float], int]]
+
+
+def looking(monkeypatch: pytest.MonkeyPatch, stripe: float = 1.0, blocks: tuple[str, ...] = ("b0",)) -> Looking:
+    """With a predicate that is true of blocks in every other stripe of the table, so wide in m."""
+    table = Table(RIG, Catalogue())
+    table.block("b0", 0.45, 0.05, FLOOR, 0.2, 0.060, 0.045)
+    eye, doubts = Eye(table), []
+    monkeypatch.setattr(worlds, "travel", lambda stream, q: eye.at.append(q))
+
+    def striped(state: State, objects: tuple[Object, ...]) -> float:
+        return float(state.get(objects[0], "x")[0] // stripe % 2)
+
+    def on_doubt(atoms: Mapping[Atom, float], looks: int) -> None:
+        doubts.append(({str(a): p for a, p in atoms.items()}, looks))
+
+    simulated = SimWorld(scenes.scene({name: (0.0, 0.1 * i) for i, name in enumerate(blocks)}), RIG)
+    robot = SimRobot(simulated)
+    robot.connect()
+    abstraction = SampledAbstraction(Abstraction((STRIPED,), {"Striped": striped}))
+    world = DeployedWorld(
+        robot, {"wrist": eye}, RIG, simulated.task.objects, witness=Told(on_doubt=on_doubt), abstraction=abstraction
+    )
+    return Looking(world, eye, doubts)
+
+
+def test_what_is_certain_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    certain = looking(monkeypatch)
+    certain.world.perceive()
+    assert len(certain.eye.asked) == ROUND and not certain.doubts
+
+
+def test_an_atom_in_doubt_is_looked_at_again_and_then_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    unsure = looking(monkeypatch, 0.0003)
+    state = unsure.world.perceive()
+    assert len(unsure.eye.asked) == ROUND + 2 * MORE_LOOKS
+    ((shares, looks),) = unsure.doubts
+    assert looks == 1 + MORE_LOOKS and 0.1 < shares["Striped(b0)"] < 0.9
+    # More pictures, less doubt about the place.
+    before, after = (s.covariance(scenes.B0)[0, 0] for s in (looking(monkeypatch).world.perceive(), state))
+    assert after < before
+
+
+@pytest.mark.slow
+def test_a_block_that_nobody_ever_saw_is_looked_for_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    missing = looking(monkeypatch, blocks=("b0", "b1"))
+    with pytest.raises(MissingObjectsError, match="did not find b1"):
+        missing.world.perceive()
+    assert len(missing.eye.asked) == ROUND * (1 + MORE_LOOKS)
+
+
+@pytest.mark.slow
+def test_one_that_was_seen_before_is_looked_for_where_it_stood(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = looking(monkeypatch)
+    before = world.world.perceive()
+    world.eye.table, world.eye.asked = Table(RIG, Catalogue()), []
+    told: list[tuple[tuple[str, ...], str]] = []
+    world.world._witness = Told(on_unsettled=lambda names, words: told.append((tuple(names), words)))
+    after = world.world.perceive()
+    assert [names for names, _ in told] == [("b0",)] and "did not find b0" in told[0][1]
+    assert after.covariance(scenes.B0)[0, 0] > 100 * before.covariance(scenes.B0)[0, 0], "it may have moved"
+    assert len(world.eye.asked) == ROUND + 2 * MORE_LOOKS
+    assert world.world.missing == ("b0",)
+    assert np.array_equal(after[scenes.B0], before[scenes.B0]), "it keeps its old place"
+
+
+def test_what_a_plan_may_hang_on_is_looked_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = looking(monkeypatch, 0.0003).world
+    true = scenes.scene({"b0": (0.0, 0.0)}).initial
+    state = State({o: true[o] for o in true.objects}, {scenes.B0: np.eye(10) * 1e-6})
+    badly_seen = [np.array([0.36 + 0.06 * i, -0.25]) for i in range(4)]
+    monkeypatch.setattr(world.belief, "unclear_places", lambda: badly_seen)
+    first, *_ = world.scan.towards(state.get(scenes.B0, "x", "y"))
+    looks = world._where_to_look(state, None)
+    np.testing.assert_array_equal(looks[0], first)
+    assert len(looks) <= 2 * worlds.MOST_PLACES
+    # Nobody knows where to look for what was never seen: everywhere, whatever else is in doubt.
+    never = world._where_to_look(state, MissingObjectsError(("b1",), ("b0",)))
+    assert len(never) == len(looks) + ROUND
+    assert len(world._where_to_look(state, MissingObjectsError(("b0",), ()))) == len(looks)

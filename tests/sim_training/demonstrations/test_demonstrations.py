@@ -1,0 +1,380 @@
+"""Demonstrations: rendered recoveries, segments that hold what was executed, a dataset that comes back as it went."""
+
+from __future__ import annotations
+
+import gc
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from resync_robot.core import spatial
+from resync_robot.core.damage import AGAIN
+from resync_robot.core.errors import TrainingError
+from resync_robot.core.files import disk_fault
+from resync_robot.core.rig import load_rig
+from resync_robot.learning.camera_view import (
+    BLOCK_NAMES,
+    EXECUTE,
+    GAPS,
+    PICTURE,
+    STATE_NAMES,
+    VIEWS,
+    Prediction,
+    to_hand,
+    window_at,
+)
+from resync_robot.learning.failures import PairGaussian
+from resync_robot.learning.recovery_policy import BLOCK, STUD, wall_gaps
+from resync_robot.perception.crop import cut_out
+from resync_robot.sim_training.demonstrations import dataset
+from resync_robot.sim_training.demonstrations.recoveries import RenderedRecovery, tilted
+from resync_robot.sim_training.demonstrations.rollouts import (
+    RolloutSettings,
+    Segment,
+    demonstrate,
+    look_around,
+    try_student,
+)
+from resync_robot.sim_training.demonstrations.starts import Start, draw_start
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.domains.cornered_insertion_s.corner import CORNER
+from resync_robot.sim_training.physics.world import SimWorld
+from resync_robot.sim_training.recovery import RecoverySettings
+from tests import scenes
+from tests.run_folders import DAMAGES
+
+RIG = load_rig()
+DOMAIN = find_domain("cornered-insertion-s")
+CORNERED = Start(scenes.scene({"b0": (scenes.CORNER, scenes.CORNER)}), scenes.B0)
+FREE = Start(scenes.scene({"b0": (0.0, 0.0)}), scenes.B0)
+
+
+def gaussians() -> dict[str, PairGaussian]:
+    rng = np.random.default_rng(0)
+    deep = [np.array([0.001, 0.002, 0.0, 1.0]) + rng.normal(0, 0.0003, 4) for _ in range(20)]
+    clear = [np.array([0.05, 0.06, 0.0, 1.0]) + rng.normal(0, 0.003, 4) for _ in range(20)]
+    return {"before": PairGaussian.fit(deep, CORNER.resolution), "after": PairGaussian.fit(clear, CORNER.resolution)}
+
+
+def still(seen: torch.Tensor) -> torch.Tensor:
+    return torch.zeros(len(seen), 3)
+
+
+def upwards(seen: torch.Tensor) -> torch.Tensor:
+    return torch.tensor([[0.0, 0.0, 1.0]]).expand(len(seen), 3)
+
+
+@pytest.fixture(scope="module")
+def recovery() -> RenderedRecovery:
+    return RenderedRecovery(CORNERED, RIG, 0.9, seed=0, still=True)
+
+
+def test_starts_are_failures_middles_and_ends_and_the_same_for_the_same_seed() -> None:
+    starts = [draw_start(DOMAIN, gaussians(), seed) for seed in range(60)]
+    gaps = []
+    for start in starts:
+        block, box = start.task.initial[start.block], start.task.initial[scenes.THE_BOX]
+        row = torch.as_tensor(np.concatenate([np.zeros(6), block, box]), dtype=torch.float32)[None]
+        gaps.append(float(wall_gaps(row).min()))
+    assert sum(g < 0.004 for g in gaps) > 25 and sum(0.004 < g < 0.04 for g in gaps) > 5
+    assert sum(g > 0.04 for g in gaps) >= 2
+    assert {s.block.name for s in starts} >= {"b0", "b1", "b2"}
+    again = draw_start(DOMAIN, gaussians(), 7)
+    assert again.task.initial == starts[7].task.initial and again.block == starts[7].block
+    assert all(
+        float(wall_gaps(_row(s)).min()) < 0.01
+        for s in (draw_start(DOMAIN, gaussians(), n, failed_only=True) for n in range(10))
+    )
+
+
+def _row(start: Start) -> torch.Tensor:
+    values = np.concatenate([np.zeros(6), start.task.initial[start.block], start.task.initial[scenes.THE_BOX]])
+    return torch.as_tensor(values, dtype=torch.float32)[None]
+
+
+def test_a_window_shows_what_the_whole_picture_shows_there() -> None:
+    world = SimWorld(CORNERED.task, RIG, rendered=True)
+    tip = RIG.tip_pose(RIG.arm.home)[:3, 3]
+    for view in VIEWS:
+        camera = RIG.camera(view)
+        window = window_at(camera, RIG.camera_pose(camera, RIG.arm.home), tip)
+        whole = cut_out(world.render(view), camera, window, PICTURE).colour.astype(float)
+        part = world.render_window(view, window, PICTURE, np.eye(4)).colour.astype(float)
+        # Scaling softens edges; elsewhere they agree.
+        assert np.median(np.abs(whole - part)) <= 2.0 and np.abs(whole - part).mean() < 8.0, view
+
+
+def test_the_scene_knows_where_the_block_is(recovery: RenderedRecovery) -> None:
+    assert recovery.stands
+    block = recovery.block()
+    np.testing.assert_allclose(block[:2], 0, atol=0.007)
+    assert -0.10 < block[2] < -0.05
+    np.testing.assert_allclose(block[GAPS], 0.001, atol=2e-4)
+    np.testing.assert_allclose(block[5:], 0, atol=1e-3)
+    assert recovery.see().pictures.shape == (len(VIEWS), PICTURE, PICTURE, 3)
+
+
+def test_an_arm_without_lag_goes_where_it_is_sent_and_a_late_one_stays_behind() -> None:
+    behind = []
+    for lag in (0.0, 0.9):
+        scene = RenderedRecovery(FREE, RIG, 0.0, seed=1, still=True)
+        scene.lag = torch.tensor([lag])
+        goal = scene.sent + [0.0, 0.0, 0.02]
+        scene.step(goal)
+        behind.append(float(goal[2] - scene.see().tip[2]))
+    assert behind[0] < 0.010 < behind[1]
+
+
+def test_the_scan_knows_the_block_to_a_millimetre_or_two() -> None:
+    exact = RenderedRecovery(FREE, RIG, 0.0, seed=0, still=True).scanned
+    x, y, z, height = FREE.task.initial.get(FREE.block, "x", "y", "z", "size_z")
+    np.testing.assert_allclose(exact.stud, [x, y, z + height / 2 + STUD])
+    away = [RenderedRecovery(FREE, RIG, 0.0, seed=seed).scanned.stud - exact.stud for seed in range(12)]
+    assert 0.0005 < np.std(away) < 0.003
+
+
+def test_a_scan_tells_where_the_block_was_or_where_it_is() -> None:
+    scene, random = RenderedRecovery(CORNERED, RIG, 0.0, seed=1), torch.Generator().manual_seed(3)
+    moved = []
+    for _ in range(30):
+        scene.freeze(random)
+        moved.append(np.linalg.norm(scene.scanned.stud[:2] - scene.x[0, BLOCK][:2].numpy()) > 0.012)
+    assert 5 < sum(moved) < 25
+
+
+def test_pictures_of_half_of_all_scenes_are_one_step_old() -> None:
+    delayed = 0
+    for seed in range(12):
+        scene = RenderedRecovery(FREE, RIG, 0.0, seed=seed)
+        first = scene.see().pictures
+        scene.step(scene.sent + [0.0, 0.0, 0.02])
+        delayed += bool((scene.see().pictures == first).all())
+    assert 2 <= delayed <= 10
+
+
+def test_a_segment_s_actions_are_the_steps_that_were_carried_out() -> None:
+    settings = RolloutSettings(burst_probability=0.3, hold=3)
+    found = demonstrate([FREE, FREE], RIG, upwards, RecoverySettings(), seed=3, settings=settings)
+    segments = [s for of in found for s in of if s.acts.all()]
+    assert segments
+    for segment in segments:
+        tips, leads = segment.state[:, 6:9].astype(float), segment.state[:, 9:12].astype(float)
+        # The box stands square in this scene, so the hand's axes are the world's.
+        sent = tips + leads
+        np.testing.assert_allclose(np.diff(sent, axis=0), segment.action[:-1], atol=1e-6)
+    last = [of[-1] for of in found if of]
+    assert all(s.ends and s.recovered[-1] and not s.action[-1].any() for s in last)
+
+
+def test_a_demonstration_begins_like_a_deployment_with_a_hand_at_rest() -> None:
+    calm = RolloutSettings(burst_probability=0.0)
+    found = demonstrate([FREE] * 8, RIG, upwards, RecoverySettings(), seed=3, settings=calm)
+    low = [s for (s,) in found if not s.recovered[0]]
+    assert low and all(np.abs(s.state[0, 9:12]).max() < 1e-3 and s.action[0, 2] > 0.01 for s in low)
+
+
+def test_a_burst_is_not_recorded_and_splits_the_episode() -> None:
+    calm = demonstrate([FREE], RIG, still, RecoverySettings(), 5, settings=RolloutSettings(burst_probability=0.0))
+    assert [s.ends for s in calm[0]] == [True]
+
+
+def test_a_failed_episode_leaves_nothing() -> None:
+    settings = RolloutSettings(horizon=5, burst_probability=0.0)
+    assert demonstrate([CORNERED], RIG, still, RecoverySettings(), 5, settings=settings) == [[]]
+
+
+def test_moments_without_motion_show_blocks_anywhere_and_say_whether_they_are_free() -> None:
+    found = look_around([CORNERED] * 6, RIG, RecoverySettings(), 0, each=4)
+    assert found is not None and len(found.state) == 24
+    assert not found.acts.any() and not found.ends
+    gaps = found.block[:, GAPS].min(1)
+    assert gaps.min() < 0.015 and gaps.max() > 0.05
+    needed = RecoverySettings().gap + RolloutSettings().margin
+    assert not found.recovered[gaps < needed - 1e-3].any() and found.recovered.any()
+    assert look_around([], RIG, RecoverySettings(), 0) is None
+
+
+@given(st.integers(0, 3), st.floats(0.0, np.pi / 2), st.floats(0.03, 0.08), st.floats(0.03, 0.08), st.floats(-3, 3))
+def test_a_tilted_block_stands_on_one_edge(edge: int, angle: float, width: float, height: float, yaw: float) -> None:
+    upright = spatial.transform(spatial.rotation_about("z", yaw), np.array([0.4, 0.1, height / 2]))
+    pose = tilted(upright, width, height, edge, angle)
+    signs = np.array([[x, y, z, 1.0] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = (pose @ (signs * [width / 2, width / 2, height / 2, 1.0]).T)[2]
+    assert np.sort(corners)[:2] == pytest.approx([0, 0], abs=1e-9), "two corners on the floor, none below"
+    assert pose[2, 2] == pytest.approx(np.cos(angle), abs=1e-9)
+
+
+def test_some_moments_without_motion_show_blocks_that_lean_and_call_none_of_them_free() -> None:
+    found = look_around([FREE] * 10, RIG, RecoverySettings(), 0, each=4)
+    assert found is not None
+    lean = np.hypot(*found.block[:, 5:].T)
+    assert 0.1 < (lean > 0.1).mean() < 0.5 and lean.max() > 0.5
+    assert not found.recovered[lean > 0.2].any() and found.recovered.any()
+
+
+def test_demonstrations_end_a_margin_beyond_the_line() -> None:
+    nearly = Start(scenes.scene({"b0": (scenes.CORNER - 0.044, scenes.CORNER - 0.044)}), scenes.B0)
+    ends = []
+    for margin in (0.0, 0.008):
+        settings = RolloutSettings(horizon=12, burst_probability=0.0, margin=margin)
+        ends.append([bool(of) for of in demonstrate([nearly], RIG, upwards, RecoverySettings(), 5, settings=settings)])
+    assert ends == [[True], [False]]
+
+
+@dataclass
+class Rising:
+    """A student that lifts the hand and says that it is done, rightly or not."""
+
+    done: float = 1.0
+    picture: int = PICTURE
+
+    def __call__(self, pictures: np.ndarray, state: np.ndarray) -> Prediction:
+        n = len(state)
+        assert pictures.shape == (n, len(VIEWS), PICTURE, PICTURE, 3)
+        steps = np.tile([0.0, 0.0, 0.01], (n, 8, 1))
+        return Prediction(steps, np.full(n, self.done), np.full((n, len(BLOCK_NAMES)), 0.05))
+
+
+def test_a_student_is_judged_by_the_truth_not_by_its_word() -> None:
+    trials = try_student([CORNERED, FREE], RIG, Rising(), RecoverySettings(), 0)
+    assert [t is not None and t.stopped for t in trials] == [True, True]
+    assert [t is not None and t.success for t in trials] == [False, True]
+    assert trials[0] is not None and trials[0].steps == EXECUTE
+
+
+def test_after_a_student_the_teacher_goes_on_and_only_it_is_recorded() -> None:
+    found = demonstrate([FREE], RIG, upwards, RecoverySettings(), 11, student=Rising(done=0.0))
+    (segment, *_) = found[0]
+    assert segment.state[0, 8] > 0.14, "the student had lifted the hand before"
+
+
+def test_the_teacher_is_called_where_a_student_believes_that_it_is_done() -> None:
+    heights = []
+    for done in (0.0, 1.0):
+        found = demonstrate([FREE], RIG, upwards, RecoverySettings(), 11, student=Rising(done))
+        heights.append(found[0][0].state[0, 8])
+    assert heights[1] < heights[0] - 0.02
+
+
+def segment(n: int = 5, ends: bool = True) -> Segment:
+    rng = np.random.default_rng(n)
+    pictures = np.kron(rng.integers(0, 255, (n, 3, 8, 8, 3)), np.ones((1, 1, 8, 8, 1))).astype(np.uint8)
+    rows = [rng.normal(size=(n, k)).astype(np.float32) for k in (len(STATE_NAMES), 3, len(BLOCK_NAMES))]
+    return Segment(pictures, rows[0], rows[1], rng.random(n) > 0.5, rows[2], np.ones(n, dtype=bool), ends)
+
+
+@pytest.fixture(scope="module")
+def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demos") / "shard"
+    dataset.write_shard(folder, [segment(5), segment(7, ends=False)], "Recover", "ur7e_2f-140", {"first_seed": 3})
+    return folder
+
+
+def test_a_shard_comes_back_as_it_went(shard: Path) -> None:
+    found = dataset.read_shards([shard])
+    written = [segment(5), segment(7, ends=False)]
+    assert len(found) == 12 and found.segment.tolist() == [0] * 5 + [1] * 7
+    assert found.ends.tolist() == [True] * 5 + [False] * 7
+    for name in ("state", "action", "recovered", "block", "acts"):
+        np.testing.assert_array_equal(getattr(found, name), np.concatenate([getattr(s, name) for s in written]))
+    pictures = np.concatenate([s.pictures for s in written]).astype(int)
+    assert np.abs(found.pictures - pictures).mean() < 12, "video loses little"
+    twice = dataset.read_shards([shard, shard])
+    assert np.unique(twice.segment).tolist() == [0, 1, 2, 3]
+
+
+def test_a_full_disk_leaves_no_shard(shard: Path, tmp_path: Path, full_disk, capfd: pytest.CaptureFixture[str]) -> None:
+    for room in (500, 9000):
+        with pytest.raises(OSError) as caught, full_disk(room):
+            dataset.write_shard(tmp_path / "shard", [segment(5), segment(30)], "Recover", "ur7e_2f-140", {})
+        assert disk_fault(caught.value).what == f"cannot write {tmp_path / 'shard'}: File too large"
+        with pytest.raises(Exception) as caught, full_disk(room):
+            dataset.merge_shards([shard, shard], tmp_path / "whole")
+        assert "File too large" in disk_fault(caught.value).what
+    del caught
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+    assert "Exception ignored" not in capfd.readouterr().err
+
+
+def test_a_shard_opens_in_stock_lerobot_and_shards_merge_into_one(shard: Path, tmp_path: Path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    one = LeRobotDataset("local/recoveries", root=shard, video_backend="pyav")
+    assert len(one) == 12 and one.num_episodes == 2
+    frame = one[6]
+    assert one.meta.robot_type == "ur7e_2f-140" and frame["task"] == "Recover"
+    assert frame["observation.images.front"].shape == (3, PICTURE, PICTURE)
+    np.testing.assert_allclose(frame["action"].numpy(), segment(7).action[1], rtol=1e-6)
+    assert dataset.merge_shards([shard, shard], tmp_path / "whole") == {"segments": 4, "frames": 24}
+    whole = LeRobotDataset("local/recoveries", root=tmp_path / "whole", video_backend="pyav")
+    assert len(whole) == 24 and whole.num_episodes == 4 and whole.meta.robot_type == "ur7e_2f-140"
+
+
+@pytest.mark.parametrize("damage", ["version", "stamp", "video"])
+def test_a_broken_shard_is_named(shard: Path, tmp_path: Path, damage: str) -> None:
+    folder = tmp_path / "broken"
+    shutil.copytree(shard, folder)
+    if damage == "version":
+        (folder / dataset.STAMP).write_text('{"version": 0}')
+    elif damage == "stamp":
+        (folder / dataset.STAMP).unlink()
+    else:
+        next((folder / "videos").rglob("*.mp4")).unlink()
+    with pytest.raises(TrainingError, match="broken"):
+        dataset.read_shards([folder])
+
+
+def test_any_damage_to_any_file_of_a_shard_is_named(shard: Path, tmp_path: Path) -> None:
+    names = sorted(p.relative_to(shard) for p in shard.rglob("*") if p.is_file())
+    assert len(names) > 8
+    for name in names:
+        for how, spoil in DAMAGES.items():
+            folder = tmp_path / "broken"
+            shutil.copytree(shard, folder)
+            spoil(folder / name)
+            same = (folder / name).is_file() and (folder / name).read_bytes() == (shard / name).read_bytes()
+            for read in (dataset.read_shards, lambda shards: dataset.merge_shards(shards, tmp_path / "whole")):
+                if not same:
+                    with pytest.raises(TrainingError, match=str(folder)) as caught:
+                        read([folder])
+                    assert caught.value.fix.endswith(AGAIN), (name, how)
+            shutil.rmtree(folder)
+
+
+def test_no_success_at_all_is_an_error_that_says_so(tmp_path: Path) -> None:
+    dataset.write_shard(tmp_path / "empty", [], "Recover", "ur7e_2f-140", {})
+    with pytest.raises(TrainingError, match="none of its worlds"):
+        dataset.read_shards([tmp_path / "empty"])
+
+
+def test_moments_of_a_segment_go_from_its_begin_to_its_end(shard: Path) -> None:
+    frames = dataset.read_shards([shard])
+    shown = dataset.moments(frames, rows=2, columns=4)
+    assert shown.shape == (2, 4, 3, PICTURE, PICTURE, 3)
+    first = np.flatnonzero(frames.segment == 0)
+    np.testing.assert_array_equal(shown[0, [0, -1]], frames.pictures[first[[0, -1]]])
+
+
+def test_hand_axes_of_a_turned_box_are_the_box_s() -> None:
+    task = scenes.scene({"b0": (0.0, 0.0)}, box_yaw=0.15)
+    scene = RenderedRecovery(Start(task, scenes.B0), RIG, 0.0, seed=0, still=True)
+    assert scene.yaw == pytest.approx(0.15, abs=0.01)
+    along = np.array([np.cos(0.15), np.sin(0.15), 0.0])
+    np.testing.assert_allclose(to_hand(along, scene.yaw), [1, 0, 0], atol=0.01)
+
+
+def test_unseen_looks_do_not_change_the_rest_of_a_start() -> None:
+    from resync_robot.sim_training.physics.randomise import UNSEEN
+
+    usual = draw_start(DOMAIN, gaussians(), 5)
+    unseen = draw_start(DOMAIN, gaussians(), 5, UNSEEN)
+    assert usual.task.initial == unseen.task.initial
+    assert usual.task.physics["surfaces"] != unseen.task.physics["surfaces"]
+    assert replace(usual, task=unseen.task) == unseen

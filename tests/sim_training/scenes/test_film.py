@@ -1,0 +1,81 @@
+"""The scene of a film shows things where they were recorded, whatever the arm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from resync_robot.core.episode import EpisodeMeta
+from resync_robot.core.machines import ARMS
+from resync_robot.core.recorded_rig import RecordedRig
+from resync_robot.core.rig import load_rig
+from resync_robot.core.vocabulary import BLOCK, BOX
+from resync_robot.sim_training.scenes.film import FilmScene
+
+RIG = load_rig()
+RECORDED = RecordedRig(
+    RIG.arm.facts, RIG.arm.world_T_base, RIG.gripper.tip_offset, RIG.gripper.finger_thickness,
+    RIG.gripper.finger_width, {},
+)  # fmt: skip
+B0, TRAY = BLOCK("b0"), BOX("box")
+BLOCK_AT = np.array([0.45, -0.10, 0.03, 1, 0, 0, 0, 0.06, 0.06, 0.045])
+TRAY_AT = np.array([0.45, 0.0, 0.005, 1, 0, 0, 0, 0.3, 0.3, 0.11, 0.03])
+SIZE = 240, 160
+
+
+def red(picture: np.ndarray) -> np.ndarray:
+    """(n, 2) px of what is red."""
+    colours = picture.astype(int)
+    rows, columns = np.nonzero((colours[..., 0] - colours[..., 1] > 60) & (colours[..., 0] - colours[..., 2] > 60))
+    return np.column_stack([columns, rows])
+
+
+@pytest.fixture(scope="module")
+def scene() -> FilmScene:
+    return FilmScene(RECORDED, *SIZE)
+
+
+def test_a_block_is_where_it_was_recorded_and_goes_when_it_is_gone(scene: FilmScene) -> None:
+    for x in (0.45, 0.75):
+        at = BLOCK_AT.copy()
+        at[0] = x
+        seen = red(scene.picture(RIG.arm.home, 0.08, {B0: at, TRAY: TRAY_AT}))
+        assert len(seen) > 15
+        np.testing.assert_allclose(seen.mean(0), scene.pixels(at[None, :3])[0], atol=4)
+    assert not len(red(scene.picture(RIG.arm.home, 0.08, {TRAY: TRAY_AT})))
+
+
+def test_the_arm_casts_a_shadow_and_follows_its_joints(scene: FilmScene) -> None:
+    home = scene.picture(RIG.arm.home, 0.08, {}).astype(int)
+    turned = scene.picture(RIG.arm.home + np.array([1.0, 0, 0, 0, 0, 0]), 0.08, {}).astype(int)
+    table = scene.picture(RIG.arm.home + np.array([np.pi, 0, 0, 0, 0, 0]), 0.08, {}).astype(int)
+    assert (np.abs(home - turned).max(-1) > 20).mean() > 0.02
+    # Wood that is darker than the same wood without the arm over it, and still wood: warmer than it is blue.
+    darker = (table - home).min(-1) > 12
+    assert (darker & (home[..., 0] - home[..., 2] > 5)).sum() > 40
+
+
+@pytest.mark.parametrize("model", ["ur3e", "ur10e"])
+def test_every_arm_is_shown(model: str) -> None:
+    small = FilmScene(replace(RECORDED, arm=ARMS[model]), *SIZE)
+    empty = small.pixels(RIG.arm.world_T_base[None, :3, 3] + [0, 0, 0.06])[0].astype(int)
+    picture = small.picture(RIG.arm.home, 0.08, {}).astype(int)
+    assert np.ptp(picture[empty[1], empty[0]]) < 40, "the grey base of the arm"
+
+
+def test_the_machine_is_read_from_the_recording() -> None:
+    meta = EpisodeMeta.of(RIG, library_hash="", domain="", scenario="", goal="", seed=0, backend="sim")
+
+    class Recording:
+        path = "episode.mcap"
+
+        def __init__(self, rig: Any) -> None:
+            self.meta = replace(meta, rig=rig)
+
+    read = RecordedRig.of(Recording({**meta.rig, "hues": {"b0": 0.3}}))  # type: ignore[arg-type]
+    assert read.hues == {"b0": 0.3} and read.arm is RIG.arm.facts
+    flange = RIG.arm.world_T_base @ RIG.arm.kinematics.forward(RIG.arm.home)
+    np.testing.assert_allclose(read.frames(RIG.arm.home)[-1], flange, atol=1e-12)
