@@ -81,7 +81,7 @@ def read_settings(
         option = OPTIONS.get(name, name)
         if value != saved[name]:
             raise ConfigError(
-                f"the run in {path} began with --{option} {saved[name] or '(none)'}, not {value}, and keeps it",
+                f"the run in {path} began with --{option} {'(none)' if saved[name] == '' else saved[name]}, not {value}, and keeps it",
                 f"leave --{option} out to go on with it, or start a new run without --resume",
             )
     rig = saved.get("rig")
