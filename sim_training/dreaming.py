@@ -101,13 +101,15 @@ class Dreamer:
         return [found for way in product(*ways) if (found := tuple(p for p in way if p is not None))]
 
     def dreams(self, count: int, attempts: int, first_seed: int) -> list[Dream]:
-        """An equal quota for every combination, then the attempts, shared out among them too."""
+        """An equal quota for every combination, then the attempts, half of them about the newest failure."""
         every = self.combinations()
         order = np.random.default_rng(first_seed).permutation(len(every))
         shared = [every[order[i % len(every)]] for i in range(count)]
         dreams = [Dream(placements, first_seed + i) for i, placements in enumerate(shared)]
         singles = [c for c in every if len(c) == 1 and c[0].when == "before"]
-        tried = [singles[i % len(singles)] for i in range(attempts)]
+        newest = [c for c in singles if c[0].failure == len(self.failures) - 1]
+        older = [c for c in singles if c not in newest] or newest
+        tried = [(of := (newest, older)[i % 2])[i // 2 % len(of)] for i in range(attempts)]
         return dreams + [Dream(p, first_seed + count + i, attempt=True) for i, p in enumerate(tried)]
 
     # -- one dream -----------------------------------------------------------------------------------------------------

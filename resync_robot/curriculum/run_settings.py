@@ -80,8 +80,9 @@ def read_settings(
     for name, value in given.items():
         option = OPTIONS.get(name, name)
         if value != saved[name]:
+            kept = "(none)" if saved[name] == "" else saved[name]
             raise ConfigError(
-                f"the run in {path} began with --{option} {'(none)' if saved[name] == '' else saved[name]}, not {value}, and keeps it",
+                f"the run in {path} began with --{option} {kept}, not {value}, and keeps it",
                 f"leave --{option} out to go on with it, or start a new run without --resume",
             )
     rig = saved.get("rig")

@@ -108,7 +108,8 @@ def learn_concepts(
         truth, columns = _judged(before, dataset, parameters)
     pool = _Pool(dataset, parameters)
     pool.add_known(sorted(before.predicates), truth)
-    explained = explained_failures(dataset, [*columns, *(c.evidence for c in pool.concepts)])
+    learned = {p for p in before.predicates if p.name in before.records}
+    explained = explained_failures(dataset, [*columns, *(c.evidence for c in pool.concepts)], learned)
     # What an earlier recovery mended is not what the new one is about.
     explained |= {f for run in dataset.runs for f in run.failures if f.mended_by in recoveries[:-1]}
 
@@ -134,8 +135,8 @@ def learn_concepts(
         "seconds": round(time.perf_counter() - start, 2),
     }
     concepts = assemble(given, before, columns, selection, pool.concepts, len(stages), report)
-    learned = Abstraction(concepts.predicates, concepts.classifiers)
-    gone = experience((t for s in stages for t in s.trajectories), learned, concepts.operators)
+    abstraction = Abstraction(concepts.predicates, concepts.classifiers)
+    gone = experience((t for s in stages for t in s.trajectories), abstraction, concepts.operators)
     return replace(concepts, report={**concepts.report, "experience": gone})
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
@@ -53,6 +53,9 @@ class Column:
 MIN_EXPLAINED = 5
 MAX_EXCEPTIONS = 0.01
 """A condition accounts for failures when it was missing in so many, and in at most this share of the successes."""
+MOSTLY_FATAL = 0.9
+"""A condition that an earlier stage learned accounts for failures where at least this share of attempts without it
+failed: its classifier may err at its edge."""
 
 Evidence = dict[str, tuple[Column, ...]]
 """Skill name -> the columns of one predicate."""
@@ -110,11 +113,14 @@ def evidence(
     }
 
 
-def explained_failures(dataset: Dataset, columns: Sequence[Evidence]) -> set[Step]:
+def explained_failures(dataset: Dataset, columns: Sequence[Evidence], learned: Collection[Predicate] = ()) -> set[Step]:
     """Failed attempts that an atom over the skill's parameters accounts for: where it was false, nothing succeeded.
 
     Such failures say nothing about what is still to be learned: a block under another one cannot be picked wherever
-    it stands.
+    it stands, and a puck behind a closed door cannot be fetched, whatever lies in its way besides.
+
+    Args:
+        learned: predicates of earlier stages.
     """
     failures: dict[str, list[Step]] = {}
     for run in dataset.runs:
@@ -122,9 +128,13 @@ def explained_failures(dataset: Dataset, columns: Sequence[Evidence]) -> set[Ste
             failures.setdefault(step.skill, []).append(step)
     explained: set[Step] = set()
     for skill, steps in failures.items():
-        for column in (c for e in columns for c in e[skill] if c.atom.args):
-            without = ~column.failed
-            if len(column.before) and without.sum() >= MIN_EXPLAINED and (~column.before).mean() <= MAX_EXCEPTIONS:
+        for column in (c for e in columns for c in e[skill]):
+            without, exceptions = ~column.failed, ~column.before
+            if not len(exceptions) or without.sum() < MIN_EXPLAINED:
+                continue
+            impossible = bool(column.atom.args) and exceptions.mean() <= MAX_EXCEPTIONS
+            fatal = without.sum() / (without.sum() + exceptions.sum()) >= MOSTLY_FATAL
+            if impossible or (column.atom.predicate in learned and fatal):
                 explained |= {s for s, w in zip(steps, without, strict=True) if w}
     return explained
 
