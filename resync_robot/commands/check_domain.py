@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from resync_robot.core.options import DEFAULT_DOMAIN
 from resync_robot.given import Given
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ MOST_WORLDS = 1000
 class CheckDomainConfig:
     """Check that a domain keeps its contract: its parts fit, its scenes stand, its failures can be learned from."""
 
-    domain: tyro.conf.Positional[str] = "cornered-insertion-s"
+    domain: tyro.conf.Positional[str] = DEFAULT_DOMAIN
     """The domain: a name, a file (path.py or path.py:NAME), or package.module:NAME."""
 
     worlds: int = 20

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError, RenderError, UnknownNameError
-from resync_robot.core.options import MOST_EPISODES, MOST_STEPS, MOST_WORKERS, check_range, check_seeds
+from resync_robot.core.options import DEFAULT_DOMAIN, MOST_EPISODES, MOST_STEPS, MOST_WORKERS, check_range, check_seeds
 from resync_robot.evaluation.report import EPISODE, EpisodeRow, count_once, report, table
 from resync_robot.given import Given, Several
 
@@ -37,7 +37,7 @@ METHODS = ("resync", "rc", "initial", "human")
 class EvaluateConfig:
     """Measure success rates in simulated worlds that no training has seen."""
 
-    domain: str = "cornered-insertion-s"
+    domain: str = DEFAULT_DOMAIN
     """The domain to evaluate in: a name, a file (path.py or path.py:NAME), or package.module:NAME."""
 
     library: Several[Path] = ()

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from resync_robot.core.errors import ConfigError
 
+DEFAULT_DOMAIN = "cornered-insertion-s"
+"""Of all commands, where none is named."""
 MOST_SEED = 2**31 - 1
 """What every simulator takes as a seed."""
 MOST_EPISODES = 1_000_000

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args, get_type_hints
 
 from resync_robot.core.errors import ConfigError, ResyncError
 from resync_robot.core.files import read_json
+from resync_robot.core.options import DEFAULT_DOMAIN
 
 CONFIG = "config.json"
 
@@ -17,7 +18,7 @@ CONFIG = "config.json"
 class RunSettings:
     """The settings that shape a library; `commands.train_sim.TrainConfig` describes them."""
 
-    domain: str = "cornered-insertion-s"
+    domain: str = DEFAULT_DOMAIN
     preset: Literal["smoke", "quick", "full"] = "quick"
     seed: int = 0
     device: Literal["cpu", "cuda"] = "cpu"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from resync_robot.core.options import DEFAULT_DOMAIN
 from resync_robot.given import Given
 
 
@@ -19,7 +20,7 @@ class DeployConfig:
     library: Given[Path] = None
     """Library folder that train-sim wrote. Default: the shipped one."""
 
-    domain: str = "cornered-insertion-s"
+    domain: str = DEFAULT_DOMAIN
     """The domain whose objects and skills are used: a name, a file (path.py or path.py:NAME), or
     package.module:NAME."""
 
