@@ -113,6 +113,21 @@ class SuccessModel:
         with torch.no_grad():
             return torch.sigmoid(self._logits(torch.as_tensor(features, dtype=torch.float32))).double().numpy()
 
+    @property
+    def fitted(self) -> bool:
+        """Whether it knows anything yet."""
+        return self._fitted
+
+    def potential(self, features: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n"]:
+        """Log-odds of success, from 0 where failure is as good as certain to 1. They climb where probabilities are
+        flat: far away from success."""
+        most = float(np.log((1 - self.settings.smoothing) / self.settings.smoothing))
+        if not self._fitted:
+            return np.full(len(features), 0.5)
+        with torch.no_grad():
+            odds = self._logits(torch.as_tensor(features, dtype=torch.float32)).double().numpy()
+        return np.clip(0.5 + odds / (2 * most), 0.0, 1.0)
+
     def _logits(self, x: torch.Tensor) -> torch.Tensor:
         found: torch.Tensor = self._net(((x - self._mean) / self._scale).clamp(-10, 10)).squeeze(-1)
         return found

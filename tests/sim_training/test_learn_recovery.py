@@ -15,8 +15,9 @@ from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.execute import Model, run_skill
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import FailedAttempt, explain, mine_stage
-from resync_robot.sim_training.learn_recovery import RecoverySettings, learn_recovery, pose_problem
+from resync_robot.sim_training.learn_recovery import RecoverySettings, learn_recovery
 from resync_robot.sim_training.ppo import PpoSettings
+from resync_robot.sim_training.recovery_problem import pose_problem
 
 PUCKS = Path(__file__).parents[2] / "docs" / "puck_behind_a_door.py"
 
@@ -88,13 +89,13 @@ def test_a_recovery_is_learned_that_opens_the_door(
         scenes=32, total_steps=60_000, least_steps=12_000, stop_at=0.95, minibatch=256, anneal_steps=40_000
     )
     settings = RecoverySettings(attempts=120, ppo=ppo, roll_outs=40)
-    recovery, figures = learn_recovery(domain, problem, 0, tmp_path / "ppo.safetensors", lambda *_: None, settings)
-    assert figures["curve"]["success"][-1] >= 0.9
+    learned = learn_recovery(problem, 0, tmp_path / "ppo.safetensors", lambda *_: None, settings)
+    assert learned.figures["curve"]["success"][-1] >= 0.9
     assert domain.embodiment is not None
-    skill = recovery.skill(model.skill(found.skill), domain.embodiment, domain.relations)
+    skill = learned.recovery.skill(model.skill(found.skill), domain.embodiment, domain.relations)
     assert [t.name for t in skill.types] == ["robot", "puck", "door"]
     assert _then_fetched(domain, problem.judge, skill.ground(found.projected)) >= 18
-    record = recovery.to_record()
+    record = learned.recovery.to_record()
     assert record.meta["signature"] == ["robot", "puck", "door"] and record.meta["failed_skill"] == "Fetch"
 
 

@@ -1,0 +1,66 @@
+"""The recovery of an arm's domain, by the learner that knows no domain, as the library record that all else uses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from resync_robot.arm_embodiment import arm_embodiment, arm_stage
+from resync_robot.core.library import Record
+from resync_robot.core.relations import between, seen
+from resync_robot.core.rig import Rig
+from resync_robot.core.symbols import Object
+from resync_robot.core.vocabulary import ROBOT
+from resync_robot.knowledge import initial_model
+from resync_robot.learning.failures import PairGaussian
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.failure_mining import Explanation
+from resync_robot.sim_training.learn_recovery import Learned, RecoverySettings, learn_recovery
+from resync_robot.sim_training.ppo import PpoSettings, Progress
+from resync_robot.sim_training.recovery_problem import Problem, Start, problem_of
+from resync_robot.stage_files import Mined
+
+RECOVERY = RecoverySettings(
+    ppo=PpoSettings(scenes=64, total_steps=400_000, least_steps=100_000, stop_at=0.97, anneal_steps=150_000),
+    width=256,
+    depth=3,
+)
+
+
+def arm_problem(domain: str, rig: Rig, mined: Mined) -> Problem:
+    """What an arm's domain has to learn, from its mined failures; made anew in each process."""
+    found = find_domain(domain)
+    operator = next(o for o in found.operators if o.name == mined.culprit.skill)
+    tasks = mined.tasks(found)
+    robot = next(o for o in tasks[0].objects if o.type == ROBOT)
+    objects: list[Object] = [robot if v.type == ROBOT else mined.relevant for v in operator.parameters]
+    explanation = Explanation(
+        operator.name, tuple(objects), mined.culprit.relevant_argument, (mined.culprit.failure_object,)
+    )
+    starts = tuple(Start(task, task.initial) for task in tasks)
+    return problem_of(found, arm_embodiment(rig), arm_stage(found, rig), initial_model(found, rig), explanation, starts)
+
+
+def learn_arm_recovery(
+    domain: str,
+    rig: Rig,
+    mined: Mined,
+    seed: int,
+    workers: int,
+    checkpoint: Path,
+    progress: Progress,
+    settings: RecoverySettings,
+) -> tuple[Record, PairGaussian, Learned]:
+    """The record of the recovery, the Gaussian of how its object lies in the end, and all else that was learned."""
+    pose = partial(arm_problem, domain, rig, mined)
+    problem = pose()
+    learned = learn_recovery(problem, seed, checkpoint, progress, settings, workers=workers, pose=pose)
+    pair = mined.relevant, mined.culprit.failure_object
+    relations = problem.domain.relations
+    relation = between(pair[0].type, pair[1].type, relations)
+    after = PairGaussian.fit([seen(state, *pair, relations) for state in learned.after], relation.resolution)
+    record = learned.recovery.to_record()
+    failed = learned.failed.to_record()
+    tensors = {**record.tensors, **{f"failed.{k}": v for k, v in failed.tensors.items()}}
+    return replace(record, meta={**record.meta, "failed": failed.meta}, tensors=tensors), after, learned

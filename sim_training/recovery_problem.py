@@ -1,0 +1,161 @@
+"""The recovery problem of a stage (section 3.1): where episodes begin, what is seen and done, and who judges it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from resync_robot.core.embodiment import Embodiment, RecoveryInterface, Stage, TrainingSimulator
+from resync_robot.core.relations import moved, seen
+from resync_robot.core.skill import GroundSkill
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atoms, Object, Type
+from resync_robot.core.task import Domain, Task
+from resync_robot.learning.relational_view import RelationalView
+from resync_robot.planning.execute import Model, run_skill
+from resync_robot.sim_training.failure_mining import Explanation, FailedAttempt
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Says whether the failed skill succeeds now; leaves the simulator as it was.
+
+    Attributes:
+        failed: the skill that failed, with its objects.
+        effects: what holds once it has succeeded.
+        true_atoms: the atoms of a state, by the given predicates.
+    """
+
+    failed: GroundSkill
+    effects: Atoms
+    true_atoms: Callable[[State], Atoms]
+
+    def __call__(self, simulator: TrainingSimulator[Any, Any]) -> bool:
+        before = simulator.save()
+        run_skill(simulator, self.failed)
+        succeeded = self.effects <= self.true_atoms(simulator.perceive())
+        simulator.restore(before)
+        return succeeded
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where an episode may begin: a task, and a state of it."""
+
+    task: Task
+    state: State
+
+
+@dataclass(frozen=True)
+class Direct:
+    """The interface of a stage that declares none: sees all relations, and acts in the embodiment's own actions."""
+
+    view: Callable[[State], Float[np.ndarray, " d"]]
+    features: int
+    embodiment: Embodiment
+    approach: None = None
+    effort_limit: None = None
+
+    @property
+    def actions(self) -> int:
+        return len(self.embodiment.actions)
+
+    @property
+    def rate_hz(self) -> float:
+        return self.embodiment.rate_hz
+
+    def begin(self, objects: tuple[Object, ...], state: State, rng: np.random.Generator) -> None:
+        """It remembers nothing."""
+
+    def see(self, runs: Sequence[None], states: Sequence[State]) -> Float[np.ndarray, "n d"]:
+        return np.stack([self.view(state) for state in states])
+
+    def act(
+        self, runs: Sequence[None], states: Sequence[State], actions: Float[np.ndarray, "n k"]
+    ) -> Float[np.ndarray, "n k"]:
+        limits = np.array(list(self.embodiment.actions.values()))
+        return limits.mean(1) + (limits[:, 1] - limits[:, 0]) / 2 * actions
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The recovery problem of one stage.
+
+    Attributes:
+        domain: whose relations tell how o^R lies beside each o^F.
+        starts: D^F, the states from which the skill fails.
+        judge: whether it succeeds now.
+        interface: how the recovery begins, sees and acts.
+    """
+
+    domain: Domain
+    embodiment: Embodiment
+    stage: Stage
+    explanation: Explanation
+    starts: tuple[Start, ...]
+    judge: Judge
+    interface: RecoveryInterface
+
+    @property
+    def objects(self) -> tuple[Object, ...]:
+        """The robot, o^R and every o^F."""
+        return self.explanation.projected
+
+    def free(self, seed: int) -> Start | None:
+        """A state in which nothing obstructs anything, with everything in it that the recovery is about; None where the
+        domain knows of none."""
+        if self.domain.free is None:
+            return None
+        counts: dict[Type, int] = {}
+        for obj in self.objects[1:]:
+            counts[obj.type] = counts.get(obj.type, 0) + 1
+        task = self.domain.free(np.random.default_rng(seed), seed, counts)
+        return Start(task, task.initial) if set(self.objects) <= set(task.objects) else None
+
+    def between(self, failed: Start, free: Start, rng: np.random.Generator) -> Start:
+        """The state of a failure with o^R moved towards how it lies beside an o^F where nothing obstructs: by another
+        share in each column of their relation."""
+        relevant = self.explanation.objects[self.explanation.argument]
+        culprit = self.explanation.culprits[int(rng.integers(len(self.explanation.culprits)))]
+        relations = self.domain.relations
+        near, far = (seen(start.state, relevant, culprit, relations) for start in (failed, free))
+        if not len(near):
+            return failed
+        relative = near + rng.uniform(0, 1, len(near)) * (far - near)
+        return Start(failed.task, moved(failed.state, relevant, culprit, relative, rng, relations))
+
+
+def pose_problem(
+    domain: Domain,
+    embodiment: Embodiment,
+    stage: Stage,
+    model: Model,
+    explanation: Explanation,
+    failures: Sequence[FailedAttempt],
+) -> Problem:
+    """What is to be learned, from failures that were mined."""
+    return problem_of(domain, embodiment, stage, model, explanation, tuple(Start(f.task, f.state) for f in failures))
+
+
+def problem_of(
+    domain: Domain,
+    embodiment: Embodiment,
+    stage: Stage,
+    model: Model,
+    explanation: Explanation,
+    starts: tuple[Start, ...],
+) -> Problem:
+    """What is to be learned, from states from which the skill fails."""
+    operator = next(o for o in model.operators if o.name == explanation.skill)
+    judge = Judge(
+        model.skill(explanation.skill).ground(explanation.objects),
+        operator.ground(explanation.objects).add,
+        model.abstraction.true_atoms,
+    )
+    view = RelationalView(explanation.projected, domain.relations)
+    interface = stage.interface or Direct(view, view.size, embodiment)
+    return Problem(domain, embodiment, stage, explanation, starts, judge, interface)
