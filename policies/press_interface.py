@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -18,13 +18,22 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import ArmObservation
-from resync_robot.learning.recovery_policy import ACTION_SIZE, OBSERVATION_SIZE, commanded_tip, observe, project
+from resync_robot.learning.recovery_policy import ACTION_SIZE, LAG, OBSERVATION_SIZE, commanded_tip, observe, project
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
 from resync_robot.policies.grasp import travel_height
 from resync_robot.policies.neural import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
 
-LAG = 0.9
-"""Most control steps that an arm may be behind its commands: streaming within jerk limits costs 30 to 90 ms."""
+
+@dataclass(frozen=True, kw_only=True)
+class PressVariety:
+    """What training draws for each run."""
+
+    lag: float = LAG
+    """Most control steps that an arm is behind its commands."""
+    height: tuple[float, float] = (0.002, 0.07)
+    """m over the stud at which the policy takes over, up to a little more than the skill's own approach leaves."""
+    aside: float = 0.012
+    """Most m beside the block's middle, along each axis, at which it does: an approach relies on a scan that errs."""
 
 
 @dataclass
@@ -49,15 +58,15 @@ class PressInterface:
 
     features, actions, rate_hz = OBSERVATION_SIZE, ACTION_SIZE, RATE_HZ / DECISION_STEPS
 
-    def __init__(self, rig: Rig, settings: RecoverySkillSettings | None = None, lag: float = LAG) -> None:
-        s = settings or RecoverySkillSettings()
-        self._rig, self._lag, self.effort_limit = rig, lag, s.effort_limit
+    def __init__(self, rig: Rig, variety: PressVariety | None = None) -> None:
+        s, v = RecoverySkillSettings(), variety or PressVariety()
+        self._rig, self._lag, self.effort_limit = rig, v.lag, s.effort_limit
         self._base_T_world = spatial.inverse(rig.arm.world_T_base)
         self._tip_T_flange = spatial.inverse(rig.gripper.flange_T_tip)
         self.approach: Skill | None = Skill(
             "Approach",
             (ROBOT, BLOCK, BOX),
-            lambda objects, first: run_motion(_approach(objects, first, rig, s), first),
+            lambda objects, first: run_motion(_approach(objects, first, rig, s, v), first),
             RATE_HZ,
             time_limit_s=45,
             effort_limit=s.effort_limit,
@@ -91,12 +100,17 @@ class PressInterface:
         return torch.cat([project(state, *run.objects, run.commanded) for run, state in zip(runs, states, strict=True)])
 
 
-def _approach(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: RecoverySkillSettings) -> Motion:
-    """Until the policy takes over."""
+def _approach(
+    objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: RecoverySkillSettings, v: PressVariety
+) -> Motion:
+    """Until the policy takes over, at a place that is drawn for this state."""
     _, block, box = objects
+    rng = np.random.default_rng(first.state[block].view(np.uint64))
+    s, aside = replace(s, approach_height=rng.uniform(*v.height)), rng.uniform(-v.aside, v.aside, 2)
     hand = Hand(rig, first, 1.0 / RATE_HZ, stray=np.inf)
+    above = travel_height(first.state, carried=None)
     try:
-        refused = yield from approach(hand, first.state, block, box, travel_height(first.state, carried=None), s)
+        refused = yield from approach(hand, first.state, block, box, above, s, (float(aside[0]), float(aside[1])))
     except Blocked as blocked:
         return Outcome(Ending.BLOCKED, str(blocked))
     return refused or Outcome(Ending.DONE)

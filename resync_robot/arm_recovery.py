@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from resync_robot.arm_embodiment import arm_embodiment, arm_stage
 from resync_robot.core.library import Record
@@ -16,15 +16,22 @@ from resync_robot.knowledge import initial_model
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import Explanation
-from resync_robot.sim_training.learn_recovery import Learned, RecoverySettings, learn_recovery
+from resync_robot.sim_training.learn_recovery import RecoverySettings, learn_recovery
 from resync_robot.sim_training.ppo import PpoSettings, Progress
+from resync_robot.sim_training.recovery_env import JudgedSettings
 from resync_robot.sim_training.recovery_problem import Problem, Start, problem_of
 from resync_robot.stage_files import Mined
 
 RECOVERY = RecoverySettings(
-    ppo=PpoSettings(scenes=64, total_steps=400_000, least_steps=100_000, stop_at=0.97, anneal_steps=150_000),
+    attempts=200,
+    # A run of a skill takes as long as a hundred actions.
+    judged=JudgedSettings(verdicts=0.006),
+    ppo=PpoSettings(
+        scenes=32, total_steps=400_000, least_steps=40_000, stop_at=0.95, minibatch=256, anneal_steps=80_000
+    ),
+    roll_outs=60,
     width=256,
-    depth=3,
+    depth=4,
 )
 
 
@@ -51,8 +58,8 @@ def learn_arm_recovery(
     checkpoint: Path,
     progress: Progress,
     settings: RecoverySettings,
-) -> tuple[Record, PairGaussian, Learned]:
-    """The record of the recovery, the Gaussian of how its object lies in the end, and all else that was learned."""
+) -> tuple[Record, PairGaussian, dict[str, Any]]:
+    """The record of the recovery, the Gaussian of how its object lies in the end, and figures."""
     pose = partial(arm_problem, domain, rig, mined)
     problem = pose()
     learned = learn_recovery(problem, seed, checkpoint, progress, settings, workers=workers, pose=pose)
@@ -63,4 +70,10 @@ def learn_arm_recovery(
     record = learned.recovery.to_record()
     failed = learned.failed.to_record()
     tensors = {**record.tensors, **{f"failed.{k}": v for k, v in failed.tensors.items()}}
-    return replace(record, meta={**record.meta, "failed": failed.meta}, tensors=tensors), after, learned
+    figures = {
+        **learned.figures,
+        "stop_at": settings.ppo.stop_at,
+        # Only then all episodes count, and not just those that end early.
+        "first_time_limit": settings.ppo.scenes * problem.stage.horizon,
+    }
+    return Record({**record.meta, "failed": failed.meta}, tensors), after, figures

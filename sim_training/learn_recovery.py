@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
 from resync_robot.learning.terminals import Terminal, train_terminal
 from resync_robot.sim_training.ppo import PpoSettings, Progress, train_policy
-from resync_robot.sim_training.recovery_env import JudgedSettings, RecoveryEnv
+from resync_robot.sim_training.recovery_env import JudgedSettings, RecoveryEnv, Tried
 from resync_robot.sim_training.recovery_problem import Problem
 from resync_robot.sim_training.shared_env import SharedEnv
 
@@ -83,17 +83,28 @@ def learn_recovery(
     model = SuccessModel(problem.interface.features, seed)
     torch.manual_seed(seed)
     net = ActorCritic(s.width, s.depth, problem.interface.features, problem.interface.actions)
-    with _opened(problem, model, seed, s, workers, pose) as env:
-        # What the model learned before a run was cut off it learns anew.
-        env.attempt(s.attempts)
-        first = env.learn()
-        env.reset(torch.arange(s.ppo.scenes))
-        curve = train_policy(net, lambda _: nullcontext(env), s.ppo, seed, checkpoint, progress)
-        net.eval()
-        last, judged = env.roll_out(net, s.roll_outs), env.judged
+    first: Tried = []
+    last: Tried = []
+    judged = 0
+
+    @contextmanager
+    def open_environment(done: int) -> Iterator[RecoveryEnv | SharedEnv]:
+        nonlocal judged
+        with _opened(problem, model, seed + done, s, workers, pose) as env:
+            # What the model learned before a run was cut off it learns anew.
+            env.attempt(s.attempts)
+            first.extend(env.learn())
+            env.reset(torch.arange(s.ppo.scenes))
+            yield env
+            # In the scenes that are open anyway.
+            last.extend(env.roll_out(net.eval(), s.roll_outs))
+            judged = env.judged
+
+    curve = train_policy(net, open_environment, s.ppo, seed, checkpoint, progress)
     # Every verdict that was asked for says where the skill succeeds, and so when the recovery is done.
     x, y = model.remembered()
-    x, y = np.concatenate([x, *(run.features[None] for run in last)]), np.append(y, [run.succeeded for run in last])
+    x = np.concatenate([x, *(run.features[None] for run in last)])
+    y = np.append(y, [run.succeeded for run in last]).astype(bool)
     done, accuracy = train_terminal(_tensor(x), torch.as_tensor(y).long(), seed)
     # It fails where it was first seen to fail, and would not have failed where a recovery ends.
     begun = np.stack([run.features for run in first if not run.succeeded])

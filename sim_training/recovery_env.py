@@ -58,6 +58,8 @@ class JudgedSettings:
     """Share of the model's claims that runs confirmed lately, from which on most are believed without a run..."""
     checked: float = 0.1
     """...but for this share."""
+    verdicts: float = 0.05
+    """Most runs of the failed skill for each action that is taken, while the model can be asked instead."""
     judged_ends: float = 0.2
     """Share of the episodes that run out of time whose end is judged all the same: what the model is sure of is
     what it never learns otherwise."""
@@ -70,6 +72,10 @@ class JudgedSettings:
 
 LATELY = 40
 """Verdicts on claims of the model that tell how far it can be believed."""
+AT_ONCE = 50
+"""Runs that are allowed before there was any action."""
+STUMBLES = 8
+"""Most actions at random before one of the first attempts: what an episode passes looks other than where it begins."""
 BEYOND = 4
 """Actions that a roll-out goes on for where the model is sure of success."""
 
@@ -129,6 +135,7 @@ class RecoveryEnv:
         self._passed: list[tuple[Task, Any]] = []
         self._tried: Tried = []
         self._claims: deque[bool] = deque(maxlen=LATELY)
+        self._allowed = float(AT_ONCE)
         self.judged = 0
         self._scenes = [self._begin_anew() for _ in range(count)]
         self._look(range(count), first=True)
@@ -142,9 +149,10 @@ class RecoveryEnv:
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Take (count, k) actions in [-1, 1]. Reward, success, terminated and truncated."""
         s = self.settings
-        self._move(range(self.count), action.double().numpy())
+        self._move(self._scenes, action.double().numpy())
         before = self._potential
         self._look(range(self.count))
+        self._allowed += self.count * self.settings.verdicts
         ended = np.array([scene.steps >= self.problem.stage.horizon for scene in self._scenes])
         success = self._ask(ended)
         # A potential that is 0 where an episode ends for good leaves the best policy what it is (Ng et al. 1999).
@@ -186,17 +194,21 @@ class RecoveryEnv:
 
     def attempt(self, count: int) -> None:
         """Run the failed skill from failures, from states where nothing obstructs, and twice as often from states
-        between the two; `taken` tells how it went. Where it fails between, episodes can begin."""
+        between the two, every second time after a few actions at random; `taken` tells how it went. Where it fails
+        between, episodes can begin."""
         for i in range(count):
+            kind = i // 2 % 4
             failed = self.problem.starts[int(self._rng.integers(len(self.problem.starts)))]
-            free = self.problem.free(int(self._rng.integers(2**31))) if i % 4 else None
-            start = failed if free is None else free if i % 4 == 1 else self.problem.between(failed, free, self._rng)
+            free = self.problem.free(int(self._rng.integers(2**31))) if kind else None
+            start = failed if free is None else free if kind == 1 else self.problem.between(failed, free, self._rng)
             simulator = self._simulator(start.task)
             if self._approached(simulator, start.state):
-                run, snapshot = self._run_at(simulator), simulator.save()
-                state = simulator.perceive()
-                succeeded = self._verdict(simulator, state, self._interface.see([run], [state])[0])
-                if not succeeded and start is not failed:
+                scene = _Scene(start.task, simulator, self._run_at(simulator), simulator.perceive())
+                snapshot = simulator.save()
+                for _ in range(int(self._rng.integers(STUMBLES)) if i % 2 else 0):
+                    self._move([scene], self._rng.uniform(-1, 1, (1, self._interface.actions)))
+                features = self._interface.see([scene.run], [scene.state])[0]
+                if not self._verdict(simulator, scene.state, features) and start is not failed:
                     self._keep(self._between, (start.task, snapshot))
             self._put_back(start.task, simulator)
 
@@ -215,7 +227,7 @@ class RecoveryEnv:
                     break
                 with torch.no_grad():
                     action = net.act(torch.as_tensor(seen, dtype=torch.float32)).double().numpy()
-                self._act(scene, self._interface.act([scene.run], [scene.state], action.clip(-1, 1))[0])
+                self._move([scene], action)
             fails, succeeds = -1, len(way)
             while succeeds - fails > 1:
                 middle = (fails + succeeds) // 2
@@ -236,18 +248,18 @@ class RecoveryEnv:
         s, success = self.settings, np.zeros(self.count, dtype=bool)
         for i, scene in enumerate(self._scenes):
             claimed = self._likely[i] >= s.worth_a_try or not self.model.fitted
-            if claimed and scene.rested >= s.patience:
-                if self._believed and self._rng.random() >= s.checked:
-                    success[i] = True
-                    continue
+            claimed &= scene.rested >= s.patience
+            if claimed and self._believed and self._rng.random() >= s.checked:
+                success[i] = True
+            elif (claimed or (ended[i] and self._rng.random() < s.judged_ends)) and (
+                not s.shaping or self._allowed > 0
+            ):
                 success[i] = self._verdict(scene.simulator, scene.state, self._features[i])
-                self._claims.append(bool(success[i]))
-            elif ended[i] and self._rng.random() < s.judged_ends:
-                success[i] = self._verdict(scene.simulator, scene.state, self._features[i])
-            else:
-                continue
-            scene.rested = 0
-            self._limit(scene.simulator)
+                self._allowed -= 1
+                scene.rested = 0
+                self._limit(scene.simulator)
+                if claimed:
+                    self._claims.append(bool(success[i]))
         return success
 
     @property
@@ -323,17 +335,13 @@ class RecoveryEnv:
         if isinstance(simulator, EffortLimited):
             simulator.limit_effort(self._interface.effort_limit)
 
-    def _move(self, which: Sequence[int], actions: Float[np.ndarray, "n k"]) -> None:
-        scenes = [self._scenes[i] for i in which]
+    def _move(self, scenes: Sequence[_Scene], actions: Float[np.ndarray, "n k"]) -> None:
         runs, states = [scene.run for scene in scenes], [scene.state for scene in scenes]
         for scene, action in zip(scenes, self._interface.act(runs, states, actions.clip(-1, 1)), strict=True):
-            self._act(scene, action)
-
-    def _act(self, scene: _Scene, action: Any) -> None:
-        scene.simulator.act(action, self._period)
-        scene.steps += 1
-        scene.rested += 1
-        scene.state = scene.simulator.perceive()
+            scene.simulator.act(action, self._period)
+            scene.steps += 1
+            scene.rested += 1
+            scene.state = scene.simulator.perceive()
 
     def _look(self, which: Sequence[int], first: bool = False) -> None:
         """See these scenes anew."""

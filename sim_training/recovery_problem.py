@@ -118,14 +118,16 @@ class Problem:
 
     def between(self, failed: Start, free: Start, rng: np.random.Generator) -> Start:
         """The state of a failure with o^R moved towards how it lies beside an o^F where nothing obstructs: by another
-        share in each column of their relation."""
+        share in each column of their relation, and half of the time by small ones, for nobody knows how little it
+        takes."""
         relevant = self.explanation.objects[self.explanation.argument]
         culprit = self.explanation.culprits[int(rng.integers(len(self.explanation.culprits)))]
         relations = self.domain.relations
         near, far = (seen(start.state, relevant, culprit, relations) for start in (failed, free))
         if not len(near):
             return failed
-        relative = near + rng.uniform(0, 1, len(near)) * (far - near)
+        shares = rng.uniform(0, 1, len(near)) ** (3 if rng.random() < 0.5 else 1)
+        relative = near + shares * (far - near)
         return Start(failed.task, moved(failed.state, relevant, culprit, relative, rng, relations))
 
 

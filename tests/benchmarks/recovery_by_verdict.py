@@ -49,13 +49,13 @@ def _measured(args: argparse.Namespace, folder: Path) -> dict[str, object]:
     if args.shaping is not None:
         s = replace(s, judged=replace(s.judged, shaping=args.shaping))
     if args.steps is not None:
-        s = replace(s, ppo=replace(s.ppo, total_steps=args.steps))
+        s = replace(s, ppo=replace(s.ppo, total_steps=args.steps, least_steps=min(args.steps, s.ppo.least_steps)))
 
     def progress(steps: int, budget: int, rate: float) -> None:
         print(f"{steps} {rate:.3f} {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
 
     checkpoint = folder / "ppo.safetensors"
-    record, after, learned = learn_arm_recovery(
+    record, after, figures = learn_arm_recovery(
         domain.spec, rig, mined, args.seed, args.workers, checkpoint, progress, s
     )
     learning = time.monotonic() - begun
@@ -63,16 +63,15 @@ def _measured(args: argparse.Namespace, folder: Path) -> dict[str, object]:
     low, high = wilson(found["picked"], found["worlds"])
     save_file({k: np.ascontiguousarray(v) for k, v in record.tensors.items()}, folder / "recovery.safetensors")
     (folder / "recovery.json").write_text(json.dumps({**record.meta, "after": after.to_json()}), encoding="utf-8")
-    figures = {k: v for k, v in learned.figures.items() if k != "curve"}
     return {
         "seed": args.seed,
-        **figures,
+        **{k: v for k, v in figures.items() if k != "curve"},
         "mining_minutes": round(mining / 60, 2),
         "minutes": round(learning / 60, 2),
         **found,
         "rate": [round(found["picked"] / found["worlds"], 4), round(low, 4), round(high, 4)],
         "after": after.mean.round(4).tolist(),
-        "curve": learned.figures["curve"],
+        "curve": figures["curve"],
     }
 
 

@@ -97,7 +97,7 @@ def test_rewards_of_an_episode_add_up_to_where_it_went() -> None:
     model.fit()
     env = environment(model, between=0.0, patience=1, worth_a_try=0.3)
     env.gamma, s = 1.0, env.settings
-    first = model.probability(env.observe().numpy().astype(float))
+    first = model.potential(env.observe().numpy().astype(float))
     total, done, steps = np.zeros(env.count), np.zeros(env.count, dtype=bool), np.zeros(env.count)
     for _ in range(20):
         gained, success, _, _ = env.step(torch.full((env.count, 1), 0.5))
