@@ -9,24 +9,20 @@ earlier successes, so that success is found early.
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from resync_robot.core.embodiment import TrainingSimulator
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.state import State
-from resync_robot.core.task import Task
-from resync_robot.core.world import EffortLimited
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
-from resync_robot.planning.execute import run_skill
+from resync_robot.sim_training.recovery_episodes import Episodes, Scene
 from resync_robot.sim_training.recovery_problem import Problem
 
 
@@ -80,19 +76,6 @@ BEYOND = 4
 """Actions that a roll-out goes on for where the model is sure of success."""
 
 
-@dataclass
-class _Scene:
-    task: Task
-    simulator: TrainingSimulator[Any, Any]
-    run: Any
-    state: State
-    steps: int = 0
-    rested: int = 0
-    """Actions since the planner was asked last."""
-    way: list[Any] = field(default_factory=list)
-    """Snapshots along this episode."""
-
-
 def teach(model: SuccessModel, runs: Tried) -> None:
     """Fit the model anew to all that it remembers, and these runs."""
     if runs:
@@ -126,18 +109,13 @@ class RecoveryEnv:
             raise TrainingError("there is no state in which the skill failed: mine failures first")
         self.problem, self.model, self.count, self.gamma = problem, model, count, gamma
         self.settings = settings or JudgedSettings()
-        self._embodiment, self._interface, self._judge = problem.embodiment, problem.interface, problem.judge
-        self._period = 1.0 / problem.interface.rate_hz
-        self._rng = np.random.default_rng(seed)
-        self._idle: OrderedDict[int, list[tuple[Task, TrainingSimulator[Any, Any]]]] = OrderedDict()
-        self._begun: dict[int, Any] = {}
-        self._between: list[tuple[Task, Any]] = []
-        self._passed: list[tuple[Task, Any]] = []
+        self._judge, self._rng = problem.judge, np.random.default_rng(seed)
+        self._episodes = Episodes(problem, self._rng, self.settings.between, self.settings.kept)
         self._tried: Tried = []
         self._claims: deque[bool] = deque(maxlen=LATELY)
         self._allowed = float(AT_ONCE)
         self.judged = 0
-        self._scenes = [self._begin_anew() for _ in range(count)]
+        self._scenes = [self._begun() for _ in range(count)]
         self._look(range(count), first=True)
 
     # -- an environment for PPO ----------------------------------------------------------------------------------------
@@ -149,7 +127,7 @@ class RecoveryEnv:
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Take (count, k) actions in [-1, 1]. Reward, success, terminated and truncated."""
         s = self.settings
-        self._move(self._scenes, action.double().numpy())
+        self._episodes.move(self._scenes, action.double().numpy())
         before = self._potential
         self._look(range(self.count))
         self._allowed += self.count * self.settings.verdicts
@@ -169,8 +147,8 @@ class RecoveryEnv:
     def reset(self, which: Tensor) -> None:
         """Begin new episodes."""
         for i in which.tolist():
-            self._put_back(self._scenes[i].task, self._scenes[i].simulator)
-            self._scenes[i] = self._begin_anew()
+            self._episodes.end(self._scenes[i])
+            self._scenes[i] = self._begun()
         self._look(which.tolist())
 
     def learn(self) -> Tried:
@@ -201,33 +179,32 @@ class RecoveryEnv:
             failed = self.problem.starts[int(self._rng.integers(len(self.problem.starts)))]
             free = self.problem.free(int(self._rng.integers(2**31))) if kind else None
             start = failed if free is None else free if kind == 1 else self.problem.between(failed, free, self._rng)
-            simulator = self._simulator(start.task)
-            if self._approached(simulator, start.state):
-                scene = _Scene(start.task, simulator, self._run_at(simulator), simulator.perceive())
-                snapshot = simulator.save()
-                for _ in range(int(self._rng.integers(STUMBLES)) if i % 2 else 0):
-                    self._move([scene], self._rng.uniform(-1, 1, (1, self._interface.actions)))
-                features = self._interface.see([scene.run], [scene.state])[0]
-                if not self._verdict(simulator, scene.state, features) and start is not failed:
-                    self._keep(self._between, (start.task, snapshot))
-            self._put_back(start.task, simulator)
+            scene = self._episodes.begin_in(start.task, start.state)
+            if scene is None:
+                continue
+            snapshot = scene.simulator.save()
+            for _ in range(int(self._rng.integers(STUMBLES)) if i % 2 else 0):
+                self._episodes.move([scene], self._rng.uniform(-1, 1, (1, self.problem.interface.actions)))
+            if not self._verdict(scene, self._episodes.see([scene])[0]) and start is not failed:
+                self._episodes.keep(self._episodes.between, start.task, snapshot)
+            self._episodes.end(scene)
 
     def roll_out(self, net: ActorCritic, count: int) -> Tried:
         """Verdicts along episodes of a policy, and a little beyond success: each time halfway between the last state
         that is known to fail and the first that is known to succeed."""
         found: Tried = []
         for _ in range(count):
-            scene = self._begin_anew()
+            scene = self._episodes.begin()
             way, sure = [], 0
             while True:
-                seen = self._interface.see([scene.run], [scene.state])
+                seen = self._episodes.see([scene])
                 way.append((scene.simulator.save(), scene.state, seen[0]))
                 sure += float(self.model.probability(seen)[0]) >= self.settings.worth_a_try
                 if len(way) > self.problem.stage.horizon or sure > BEYOND:
                     break
                 with torch.no_grad():
                     action = net.act(torch.as_tensor(seen, dtype=torch.float32)).double().numpy()
-                self._move([scene], action)
+                self._episodes.move([scene], action)
             fails, succeeds = -1, len(way)
             while succeeds - fails > 1:
                 middle = (fails + succeeds) // 2
@@ -236,7 +213,7 @@ class RecoveryEnv:
                 verdict = self._judge(scene.simulator)
                 found.append(Try(state, features, verdict))
                 fails, succeeds = (fails, middle) if verdict else (middle, succeeds)
-            self._put_back(scene.task, scene.simulator)
+            self._episodes.end(scene)
         self.judged += len(found)
         return found
 
@@ -254,10 +231,10 @@ class RecoveryEnv:
             elif (claimed or (ended[i] and self._rng.random() < s.judged_ends)) and (
                 not s.shaping or self._allowed > 0
             ):
-                success[i] = self._verdict(scene.simulator, scene.state, self._features[i])
+                success[i] = self._verdict(scene, self._features[i])
                 self._allowed -= 1
                 scene.rested = 0
-                self._limit(scene.simulator)
+                self._episodes.limit(scene.simulator)
                 if claimed:
                     self._claims.append(bool(success[i]))
         return success
@@ -268,10 +245,10 @@ class RecoveryEnv:
         # Without shaping nothing but verdicts counts.
         return s.shaping > 0 and len(self._claims) == LATELY and sum(self._claims) >= s.confirmed * LATELY
 
-    def _verdict(self, simulator: TrainingSimulator[Any, Any], state: State, features: Float[np.ndarray, " d"]) -> bool:
-        succeeded = self._judge(simulator)
+    def _verdict(self, scene: Scene, features: Float[np.ndarray, " d"]) -> bool:
+        succeeded = self._judge(scene.simulator)
         self.judged += 1
-        self._tried.append(Try(state, features.copy(), succeeded))
+        self._tried.append(Try(scene.state, features.copy(), succeeded))
         return succeeded
 
     def _remember_ways(self, success: Bool[np.ndarray, "n"]) -> None:
@@ -280,75 +257,20 @@ class RecoveryEnv:
         for i, scene in enumerate(self._scenes):
             scene.way.append(scene.simulator.save())
             if success[i]:
-                self._keep(self._passed, (scene.task, scene.way[int(self._rng.integers(len(scene.way)))]))
+                snapshot = scene.way[int(self._rng.integers(len(scene.way)))]
+                self._episodes.keep(self._episodes.passed, scene.task, snapshot)
 
-    def _keep(self, states: list[tuple[Task, Any]], state: tuple[Task, Any]) -> None:
-        states.append(state)
-        if len(states) > self.settings.kept:
-            states.pop(int(self._rng.integers(len(states))))
-
-    def _begin_anew(self) -> _Scene:
-        """A scene in which an episode begins."""
-        easier = [states for states in (self._between, self._passed) if states]
-        if easier and self._rng.random() < self.settings.between:
-            states = easier[int(self._rng.integers(len(easier)))]
-            task, snapshot = states[int(self._rng.integers(len(states)))]
-            simulator = self._simulator(task)
-            simulator.restore(snapshot)
-        else:
-            task, simulator = self._at_failure()
-        run = self._run_at(simulator)
-        return _Scene(task, simulator, run, simulator.perceive(), rested=self.settings.patience)
-
-    def _at_failure(self) -> tuple[Task, TrainingSimulator[Any, Any]]:
-        """One of the failures that stand still, where the policy takes over. Raises TrainingError: there is none."""
-        for _ in range(10 * len(self.problem.starts)):
-            i = int(self._rng.integers(len(self.problem.starts)))
-            start = self.problem.starts[i]
-            simulator = self._simulator(start.task)
-            if i in self._begun and self._begun[i] is not None:
-                simulator.restore(self._begun[i])
-                return start.task, simulator
-            if i not in self._begun:
-                stands = self._approached(simulator, start.state)
-                self._begun[i] = simulator.save() if stands else None
-                if stands:
-                    return start.task, simulator
-            self._put_back(start.task, simulator)
-        raise TrainingError(
-            f"none of {len(self.problem.starts)} states stands still in the simulator, or the recovery cannot begin",
-            "check-domain tells more",
-        )
-
-    def _approached(self, simulator: TrainingSimulator[Any, Any], state: State) -> bool:
-        """Put everything where `state` has it, and the robot to where the policy takes over; False where that fails."""
-        if not simulator.reset(state):
-            return False
-        approach = self._interface.approach
-        return approach is None or run_skill(simulator, approach.ground(self.problem.objects)).done
-
-    def _run_at(self, simulator: TrainingSimulator[Any, Any]) -> Any:
-        self._limit(simulator)
-        return self._interface.begin(self.problem.objects, simulator.perceive(), self._rng)
-
-    def _limit(self, simulator: TrainingSimulator[Any, Any]) -> None:
-        if isinstance(simulator, EffortLimited):
-            simulator.limit_effort(self._interface.effort_limit)
-
-    def _move(self, scenes: Sequence[_Scene], actions: Float[np.ndarray, "n k"]) -> None:
-        runs, states = [scene.run for scene in scenes], [scene.state for scene in scenes]
-        for scene, action in zip(scenes, self._interface.act(runs, states, actions.clip(-1, 1)), strict=True):
-            scene.simulator.act(action, self._period)
-            scene.steps += 1
-            scene.rested += 1
-            scene.state = scene.simulator.perceive()
+    def _begun(self) -> Scene:
+        """A new episode, in which the skill can be run at once."""
+        scene = self._episodes.begin()
+        scene.rested = self.settings.patience
+        return scene
 
     def _look(self, which: Sequence[int], first: bool = False) -> None:
         """See these scenes anew."""
         if not len(which):
             return
-        scenes = [self._scenes[i] for i in which]
-        seen = self._interface.see([scene.run for scene in scenes], [scene.state for scene in scenes])
+        seen = self._episodes.see([self._scenes[i] for i in which])
         if first:
             self._features = np.array(seen, dtype=np.float64)
             self._likely, self._potential = np.zeros(self.count), np.zeros(self.count)
@@ -360,22 +282,3 @@ class RecoveryEnv:
         self._likely, self._potential = self._likely.copy(), self._potential.copy()
         self._likely[list(which)] = self.model.probability(self._features[list(which)])
         self._potential[list(which)] = self.model.potential(self._features[list(which)])
-
-    # -- scenes are dear to build --------------------------------------------------------------------------------------
-
-    def _simulator(self, task: Task) -> TrainingSimulator[Any, Any]:
-        """One of the task that nobody uses, or a new one."""
-        idle = self._idle.get(id(task), [])
-        if not idle:
-            return self._embodiment.simulate(task)
-        _, simulator = idle.pop()
-        if not idle:
-            del self._idle[id(task)]
-        return simulator
-
-    def _put_back(self, task: Task, simulator: TrainingSimulator[Any, Any]) -> None:
-        # With the task, for as long as it lives no other has its id.
-        self._idle.setdefault(id(task), []).append((task, simulator))
-        self._idle.move_to_end(id(task))
-        while len(self._idle) > self.settings.kept:
-            self._idle.popitem(last=False)

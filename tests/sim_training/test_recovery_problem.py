@@ -32,7 +32,7 @@ def problem() -> Problem:
 
 def test_it_is_about_the_robot_the_block_and_the_box(problem: Problem) -> None:
     assert problem.objects == (R, B0, THE_BOX)
-    assert str(problem.judge.failed) == "Pick(r, b0)" and {str(a) for a in problem.judge.effects} == {"Holding(r,b0)"}
+    assert str(problem.judge.failed) == "Pick(r, b0)" and {str(a) for a in problem.judge.effects} == {"Holding(r, b0)"}
     for start in problem.starts:
         assert seen(start.state, B0, THE_BOX, RELATIONS)[1] < 0.008
 
