@@ -60,7 +60,8 @@ class PressInterface:
 
     def __init__(self, rig: Rig, variety: PressVariety | None = None) -> None:
         s, v = RecoverySkillSettings(), variety or PressVariety()
-        self._rig, self._lag, self.effort_limit = rig, v.lag, s.effort_limit
+        self._rig, self._lag = rig, v.lag
+        self.effort_limit: tuple[float, ...] | None = s.effort_limit
         self._base_T_world = spatial.inverse(rig.arm.world_T_base)
         self._tip_T_flange = spatial.inverse(rig.gripper.flange_T_tip)
         self.approach: Skill | None = Skill(
@@ -97,7 +98,11 @@ class PressInterface:
 
     @staticmethod
     def _projected(runs: Sequence[PressRun], states: Sequence[State]) -> torch.Tensor:
-        return torch.cat([project(state, *run.objects, run.commanded) for run, state in zip(runs, states, strict=True)])
+        rows = []
+        for run, state in zip(runs, states, strict=True):
+            robot, block, box = run.objects
+            rows.append(project(state, robot, block, box, run.commanded))
+        return torch.cat(rows)
 
 
 def _approach(

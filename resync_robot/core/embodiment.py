@@ -56,20 +56,32 @@ class Embodiment:
 class RecoveryInterface(Protocol):
     """How a recovery begins, sees and acts, where it does not just act in the embodiment's own actions from where the
     failed skill ended. A run is what it remembers from one action to the next.
-
-    Attributes:
-        features: length of what the policy sees.
-        actions: length of what it answers, each number in [-1, 1].
-        rate_hz: answers a second.
-        approach: over (the robot, o^R and every o^F): brings the robot to where the policy takes over.
-        effort_limit: (6,) N m that an arm may use meanwhile, or None for its own.
     """
 
-    features: int
-    actions: int
-    rate_hz: float
-    approach: Skill[Any, Any] | None
-    effort_limit: tuple[float, ...] | None
+    @property
+    def features(self) -> int:
+        """Length of what the policy sees."""
+        ...
+
+    @property
+    def actions(self) -> int:
+        """Length of what it answers, each number in [-1, 1]."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """Answers a second."""
+        ...
+
+    @property
+    def approach(self) -> Skill[Any, Any] | None:
+        """Over (the robot, o^R and every o^F): brings the robot to where the policy takes over."""
+        ...
+
+    @property
+    def effort_limit(self) -> tuple[float, ...] | None:
+        """(6,) N m that an arm may use meanwhile, or None for its own."""
+        ...
 
     def begin(self, objects: tuple[Object, ...], state: State, rng: np.random.Generator) -> Any:
         """A run from here on, with what is drawn for it in training, such as how late the robot is."""

@@ -15,10 +15,10 @@ from resync_robot.core.errors import TrainingError
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
 from resync_robot.sim_training.ppo import PpoSettings, train_policy
-from resync_robot.sim_training.recovery_env import JudgedSettings, RecoveryEnv
+from resync_robot.sim_training.recovery_env import AT_ONCE, LATELY, JudgedSettings, RecoveryEnv
 from resync_robot.sim_training.recovery_problem import Start
 from resync_robot.sim_training.shared_env import SharedEnv
-from tests.sim_training.sliding import JUDGE, Rail, attempts, problem, see, task_at
+from tests.sim_training.sliding import JUDGE, Rail, S, attempts, problem, see, task_at
 
 
 def failing(count: int, seed: int = 0) -> list[Start]:
@@ -118,6 +118,81 @@ def test_time_out_ends_an_episode_and_some_begin_on_the_way_of_a_success() -> No
         assert not later.step(torch.full((later.count, 1), -1.0))[3].any()
     assert later.step(torch.full((later.count, 1), -1.0))[3].all()
     assert (env.observe()[:, 0] > 0.31).any()
+
+
+def knowing() -> SuccessModel:
+    model = SuccessModel(2, 0)
+    model.add(*attempts(anywhere(300)))
+    model.fit()
+    return model
+
+
+def pushed(env: RecoveryEnv, steps: int) -> int:
+    """How many episodes of pushing the slider along succeed."""
+    succeeded = 0
+    for _ in range(steps):
+        _, success, _, truncated = env.step(torch.full((env.count, 1), 0.5))
+        succeeded += int(success.sum())
+        env.reset(torch.nonzero(success | truncated).flatten())
+    return succeeded
+
+
+def test_claims_are_believed_while_verdicts_confirm_them() -> None:
+    trusting = environment(knowing(), worth_a_try=0.8, between=0.0)
+    believed = pushed(trusting, 150)
+    doubting = environment(knowing(), worth_a_try=0.8, between=0.0, confirmed=1.1)
+    assert pushed(doubting, 150) <= doubting.judged
+    assert LATELY < trusting.judged < 0.7 * believed
+    alone = environment(knowing(), worth_a_try=0.8, between=0.0, shaping=0.0)
+    assert pushed(alone, 150) <= alone.judged, "without shaping, verdicts alone count"
+
+
+def test_a_model_that_is_refuted_is_not_believed() -> None:
+    wrong = SuccessModel(2, 0)
+    x = np.random.default_rng(0).normal(size=(400, 2))
+    wrong.add(x, np.arange(400) % 400 > 0)
+    wrong.fit()
+    env = environment(wrong, worth_a_try=0.0, between=0.0, patience=1)
+    for _ in range(19):
+        success = env.step(torch.zeros(env.count, 1))[1]
+        assert not success.any()
+
+
+def test_runs_are_rationed() -> None:
+    env = environment(knowing(), confirmed=1.1, between=0.0, verdicts=0.0)
+    pushed(env, 200)
+    assert env.judged == AT_ONCE
+    env = environment(knowing(), confirmed=1.1, between=0.0, verdicts=0.01)
+    pushed(env, 200)
+    assert env.judged == AT_ONCE + 0.01 * 200 * env.count
+
+
+def test_the_potential_climbs_where_probabilities_are_flat() -> None:
+    model, far = knowing(), np.array([[x, 0.2] for x in (0.0, 0.15, 0.3, 0.45)])
+    assert (np.diff(model.potential(far)) > 0.01).all()
+    assert model.probability(far[:2]).max() < 0.1
+
+
+def test_verdicts_of_a_roll_out_close_in_on_where_it_begins_to_succeed() -> None:
+    class Push:
+        def act(self, seen: torch.Tensor) -> torch.Tensor:
+            return torch.full((len(seen), 1), 0.5)
+
+    env = environment(knowing(), worth_a_try=0.8, between=0.0)
+    runs = env.roll_out(Push(), 6)  # type: ignore[arg-type]
+    assert 12 <= len(runs) <= 36 and env.judged == len(runs)
+    where = {yes: [run.state[S][0] for run in runs if run.succeeded == yes] for yes in (False, True)}
+    assert all(0.5 < x < 0.8 for x in where[True]) and not any(0.5 < x < 0.8 for x in where[False])
+    assert min(where[True]) - max(where[False]) < 0.051
+
+
+def test_first_attempts_begin_in_failures_and_a_few_actions_on() -> None:
+    env = environment(SuccessModel(2, 0))
+    env.attempt(40)
+    runs = env.learn()
+    assert len(runs) == 40 == env.judged and not any(run.succeeded for run in runs)
+    begun = {tuple(see(start.state)) for start in failing(16)}
+    assert 20 <= sum(tuple(run.features) in begun for run in runs) < 40
 
 
 def test_nowhere_to_begin_is_an_error() -> None:
