@@ -25,9 +25,9 @@ from resync_robot.stage_files import Mined
 RECOVERY = RecoverySettings(
     attempts=200,
     # A run of a skill takes as long as a hundred actions.
-    judged=JudgedSettings(verdicts=0.006),
+    judged=JudgedSettings(verdicts=0.01),
     ppo=PpoSettings(
-        scenes=32, total_steps=400_000, least_steps=40_000, stop_at=0.95, minibatch=256, anneal_steps=80_000
+        scenes=32, total_steps=400_000, least_steps=30_000, stop_at=0.95, minibatch=256, anneal_steps=80_000
     ),
     roll_outs=60,
     width=256,

@@ -47,11 +47,14 @@ class JudgedSettings:
     success_reward: float = 5.0
     step_cost: float = 0.01
     worth_a_try: float = 0.8
-    """Probability of success from which on the failed skill is run to see."""
+    """Probability of success from which on a state counts as a claim: the failed skill is run to see..."""
+    confirmed: float = 0.95
+    """...and share of claims that are to hold: each that does not raises that probability, each that does lowers it
+    again a little."""
     patience: int = 5
     """Actions after a run that failed until the next one in the same episode."""
-    confirmed: float = 0.9
-    """Share of the model's claims that runs confirmed lately, from which on most are believed without a run..."""
+    believed: float = 0.75
+    """Share of claims that runs confirmed lately, from which on most are believed without a run..."""
     checked: float = 0.1
     """...but for this share."""
     verdicts: float = 0.05
@@ -68,6 +71,8 @@ class JudgedSettings:
 
 LATELY = 40
 """Verdicts on claims of the model that tell how far it can be believed."""
+STRICTER, STRICTEST = 0.3, 2.0
+"""By how much a refuted claim raises the log-odds that the next one needs, and by how much all of them may."""
 AT_ONCE = 50
 """Runs that are allowed before there was any action."""
 STUMBLES = 8
@@ -113,6 +118,7 @@ class RecoveryEnv:
         self._episodes = Episodes(problem, self._rng, self.settings.between, self.settings.kept)
         self._tried: Tried = []
         self._claims: deque[bool] = deque(maxlen=LATELY)
+        self._demand = 0.0
         self._allowed = float(AT_ONCE)
         self.judged = 0
         self._scenes = [self._begun() for _ in range(count)]
@@ -199,7 +205,7 @@ class RecoveryEnv:
             while True:
                 seen = self._episodes.see([scene])
                 way.append((scene.simulator.save(), scene.state, seen[0]))
-                sure += float(self.model.probability(seen)[0]) >= self.settings.worth_a_try
+                sure += float(self.model.probability(seen)[0]) >= self._claimed_from()
                 if len(way) > self.problem.stage.horizon or sure > BEYOND:
                     break
                 with torch.no_grad():
@@ -224,7 +230,7 @@ class RecoveryEnv:
         believed."""
         s, success = self.settings, np.zeros(self.count, dtype=bool)
         for i, scene in enumerate(self._scenes):
-            claimed = self._likely[i] >= s.worth_a_try or not self.model.fitted
+            claimed = self._likely[i] >= self._claimed_from() or not self.model.fitted
             claimed &= scene.rested >= s.patience
             if claimed and self._believed and self._rng.random() >= s.checked:
                 success[i] = True
@@ -236,14 +242,27 @@ class RecoveryEnv:
                 scene.rested = 0
                 self._episodes.limit(scene.simulator)
                 if claimed:
-                    self._claims.append(bool(success[i]))
+                    self._heard(bool(success[i]))
         return success
 
     @property
     def _believed(self) -> bool:
         s = self.settings
         # Without shaping nothing but verdicts counts.
-        return s.shaping > 0 and len(self._claims) == LATELY and sum(self._claims) >= s.confirmed * LATELY
+        return s.shaping > 0 and len(self._claims) == LATELY and sum(self._claims) >= s.believed * LATELY
+
+    def _heard(self, confirmed: bool) -> None:
+        """A verdict on a claim: what counts as one is raised and lowered so that in the long run the wanted share
+        holds."""
+        share = self.settings.confirmed
+        self._claims.append(confirmed)
+        self._demand += -STRICTER * (1 - share) / share if confirmed else STRICTER
+        self._demand = float(np.clip(self._demand, 0.0, STRICTEST))
+
+    def _claimed_from(self) -> float:
+        """The probability of success that is a claim now."""
+        worth = self.settings.worth_a_try
+        return worth / (worth + (1 - worth) * float(np.exp(-self._demand)))
 
     def _verdict(self, scene: Scene, features: Float[np.ndarray, " d"]) -> bool:
         succeeded = self._judge(scene.simulator)

@@ -74,11 +74,9 @@ class Direct:
     def see(self, runs: Sequence[None], states: Sequence[State]) -> Float[np.ndarray, "n d"]:
         return np.stack([self.view(state) for state in states])
 
-    def act(
-        self, runs: Sequence[None], states: Sequence[State], actions: Float[np.ndarray, "n k"]
-    ) -> Float[np.ndarray, "n k"]:
+    def act(self, runs: Sequence[None], states: Sequence[State], actions: Float[np.ndarray, "n k"]) -> list[np.ndarray]:
         limits = np.array(list(self.embodiment.actions.values()))
-        return limits.mean(1) + (limits[:, 1] - limits[:, 0]) / 2 * actions
+        return list(limits.mean(1) + (limits[:, 1] - limits[:, 0]) / 2 * actions)
 
 
 @dataclass(frozen=True)

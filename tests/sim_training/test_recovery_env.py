@@ -140,7 +140,7 @@ def pushed(env: RecoveryEnv, steps: int) -> int:
 def test_claims_are_believed_while_verdicts_confirm_them() -> None:
     trusting = environment(knowing(), worth_a_try=0.8, between=0.0)
     believed = pushed(trusting, 150)
-    doubting = environment(knowing(), worth_a_try=0.8, between=0.0, confirmed=1.1)
+    doubting = environment(knowing(), worth_a_try=0.8, between=0.0, believed=1.1)
     assert pushed(doubting, 150) <= doubting.judged
     assert LATELY < trusting.judged < 0.7 * believed
     alone = environment(knowing(), worth_a_try=0.8, between=0.0, shaping=0.0)
@@ -159,10 +159,10 @@ def test_a_model_that_is_refuted_is_not_believed() -> None:
 
 
 def test_runs_are_rationed() -> None:
-    env = environment(knowing(), confirmed=1.1, between=0.0, verdicts=0.0)
+    env = environment(knowing(), believed=1.1, between=0.0, verdicts=0.0)
     pushed(env, 200)
     assert env.judged == AT_ONCE
-    env = environment(knowing(), confirmed=1.1, between=0.0, verdicts=0.01)
+    env = environment(knowing(), believed=1.1, between=0.0, verdicts=0.01)
     pushed(env, 200)
     assert env.judged == AT_ONCE + 0.01 * 200 * env.count
 
