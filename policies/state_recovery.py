@@ -18,6 +18,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import ArmObservation
+from resync_robot.learning.learned_recovery import SURE
 from resync_robot.learning.recovery_policy import STUD, ActorCritic, commanded_tip, observe, project
 from resync_robot.learning.terminals import Terminal
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
@@ -91,7 +92,7 @@ def _recover(
             projected = project(hand.last.state, robot, block, box, hand.position)
             with torch.no_grad():
                 seen = observe(projected)
-                if float(done(seen)) > 0.5:
+                if float(done(seen)) > SURE:
                     finished = True
                     break
                 goal = commanded_tip(projected, act(seen))[0].double().numpy()

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
 
-from resync_robot.core.embodiment import Embodiment, Stage
-from resync_robot.core.symbols import Type
-from resync_robot.core.task import Domain
+from resync_robot.core.library import Record
+from resync_robot.core.state import State
 from resync_robot.learning.learned_recovery import LearnedRecovery
 from resync_robot.learning.recovery_policy import ActorCritic
-from resync_robot.learning.relational_view import RelationalView
 from resync_robot.learning.success_model import SuccessModel
-from resync_robot.learning.terminals import train_terminal
-from resync_robot.planning.execute import Model
-from resync_robot.sim_training.failure_mining import Explanation
-from resync_robot.sim_training.ppo import Environment, PpoSettings, Progress, train_policy
-from resync_robot.sim_training.recovery_env import Judge, JudgedSettings, RecoveryEnv, Start, try_from
+from resync_robot.learning.terminals import Terminal, train_terminal
+from resync_robot.sim_training.ppo import PpoSettings, Progress, train_policy
+from resync_robot.sim_training.recovery_env import JudgedSettings, RecoveryEnv, Tried
+from resync_robot.sim_training.recovery_problem import Problem
+from resync_robot.sim_training.shared_env import SharedEnv
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +29,8 @@ class RecoverySettings:
     """How much of everything."""
 
     attempts: int = 300
-    """Runs of the failed skill that the model of success is first fitted to; half of them where nothing obstructs."""
+    """Runs of the failed skill that the model of success is first fitted to, from failures, from states where nothing
+    obstructs, and from between the two."""
     ppo: PpoSettings = field(
         default_factory=lambda: PpoSettings(
             scenes=32, total_steps=400_000, least_steps=20_000, stop_at=0.95, minibatch=256, anneal_steps=80_000
@@ -42,120 +41,87 @@ class RecoverySettings:
     depth: int = 2
     roll_outs: int = 80
     """Of the finished policy, from which the terminal function is learned."""
-    judged_every: int = 2
-    """Actions between two verdicts in these."""
 
 
 @dataclass(frozen=True)
-class Problem:
-    """The recovery problem of one stage.
+class Learned:
+    """What came of a stage's recovery.
 
     Attributes:
-        starts: D^F, the states in which the skill had failed.
-        judge: whether it succeeds now.
-        view: what the recovery sees.
+        recovery: policy and beta_N.
+        failed: beta_F, over the same features: the failed skill fails from here.
+        after: states from which it succeeds that the policy led to.
+        figures: the learning curve, attempts and verdicts, accuracy of both terminal functions on held-out verdicts.
     """
 
-    embodiment: Embodiment
-    stage: Stage
-    explanation: Explanation
-    starts: tuple[Start, ...]
-    judge: Judge
-    view: RelationalView
+    recovery: LearnedRecovery
+    failed: Terminal
+    after: tuple[State, ...]
+    figures: dict[str, Any]
 
-
-def pose_problem(
-    domain: Domain,
-    embodiment: Embodiment,
-    stage: Stage,
-    model: Model,
-    explanation: Explanation,
-    starts: Sequence[Start],
-) -> Problem:
-    """What is to be learned.
-
-    Args:
-        starts: D^F, the states in which the skill had failed.
-    """
-    operator = next(o for o in model.operators if o.name == explanation.skill)
-    judge = Judge(
-        model.skill(explanation.skill).ground(explanation.objects),
-        operator.ground(explanation.objects).add,
-        model.abstraction.true_atoms,
-    )
-    view = RelationalView(explanation.projected, domain.relations)
-    return Problem(embodiment, stage, explanation, tuple(starts), judge, view)
-
-
-def free_starts(domain: Domain, problem: Problem, first_seed: int, count: int) -> list[Start]:
-    """States in which nothing obstructs anything, and everything is there that the recovery is about."""
-    if domain.free is None:
-        return []
-    counts: dict[Type, int] = {}
-    for obj in problem.view.objects[1:]:
-        counts[obj.type] = counts.get(obj.type, 0) + 1
-    tasks = [domain.free(np.random.default_rng(s), s, counts) for s in range(first_seed, first_seed + count)]
-    return [Start(t, t.initial) for t in tasks if set(problem.view.objects) <= set(t.objects)]
+    def to_record(self) -> Record:
+        """As a library keeps it: the policy, beta_N ("terminal") and beta_F ("failed")."""
+        record, failed = self.recovery.to_record(), self.failed.to_record()
+        tensors = {**record.tensors, **{f"failed.{k}": v for k, v in failed.tensors.items()}}
+        return Record({**record.meta, "failed": failed.meta}, tensors)
 
 
 def learn_recovery(
-    domain: Domain,
     problem: Problem,
     seed: int,
     checkpoint: Path,
     progress: Progress,
     settings: RecoverySettings | None = None,
-) -> tuple[LearnedRecovery, dict[str, Any]]:
+    *,
+    workers: int = 0,
+    pose: Callable[[], Problem] | None = None,
+) -> Learned:
     """Learn the stage's recovery; resumes from `checkpoint` where one lies.
 
-    Returns:
-        The recovery, and figures: the learning curve, attempts made, verdicts asked for, accuracy of the terminal.
+    Args:
+        workers: processes that step the scenes; 0 steps them in this one.
+        pose: makes the problem anew in each of them: a function of a module, or a partial of one.
 
     Raises:
         TrainingError: a terminal function cannot be learned, for the policy hardly ever recovers.
     """
     s = settings or RecoverySettings()
-    first = 1_000_000 * (seed + 1)
-    tried = [Start(start.task, start.task.initial) for start in problem.starts[: s.attempts // 4]]
-    tried += [*problem.starts[: s.attempts // 4], *free_starts(domain, problem, first, s.attempts // 2)]
-    features, succeeded = try_from(problem.embodiment, tried, problem.judge, problem.view)
-    model = SuccessModel(problem.view.size, seed)
-    model.add(features, succeeded)
-    if model.has_both:
-        model.fit()
-    opened: list[RecoveryEnv] = []
+    model = SuccessModel(problem.interface.features, seed)
+    torch.manual_seed(seed)
+    net = ActorCritic(s.width, s.depth, problem.interface.features, problem.interface.actions)
+    first: Tried = []
+    last: Tried = []
+    judged = 0
 
     @contextmanager
-    def open_environment(done: int) -> Iterator[Environment]:
-        env = RecoveryEnv(
-            problem.embodiment,
-            problem.starts,
-            problem.judge,
-            problem.view,
-            model,
-            count=s.ppo.scenes,
-            horizon=problem.stage.horizon,
-            seed=seed + done,
-            gamma=s.ppo.gamma,
-            settings=s.judged,
-        )
-        opened.append(env)
-        yield env
+    def open_environment(done: int) -> Iterator[RecoveryEnv | SharedEnv]:
+        nonlocal judged
+        with _opened(problem, model, seed + done, s, workers, pose) as env:
+            # What the model learned before a run was cut off it learns anew.
+            env.attempt(s.attempts)
+            first.extend(env.learn())
+            env.reset(torch.arange(s.ppo.scenes))
+            yield env
+            # In the scenes that are open anyway.
+            last.extend(env.roll_out(net.eval(), s.roll_outs))
+            judged = env.judged
 
-    torch.manual_seed(seed)
-    net = ActorCritic(s.width, s.depth, problem.view.size, len(problem.embodiment.actions))
     curve = train_policy(net, open_environment, s.ppo, seed, checkpoint, progress)
-    net.eval()
-    more, later = roll_out(problem, net, s.roll_outs, s.judged_every)
     # Every verdict that was asked for says where the skill succeeds, and so when the recovery is done.
-    known, verdicts = model.remembered()
-    x, y = np.concatenate([known, more]), np.concatenate([verdicts, later])
-    done, accuracy = train_terminal(torch.as_tensor(x, dtype=torch.float32), torch.as_tensor(y).long(), seed)
+    x, y = model.remembered()
+    x = np.concatenate([x, *(run.features[None] for run in last)])
+    y = np.append(y, [run.succeeded for run in last]).astype(bool)
+    done, accuracy = train_terminal(_tensor(x), torch.as_tensor(y).long(), seed)
+    # It fails where it was first seen to fail, and would not have failed where a recovery ends.
+    begun = np.stack([run.features for run in first if not run.succeeded])
+    failed, failed_accuracy = train_terminal(
+        _tensor(np.concatenate([x[y], begun])), torch.arange(int(y.sum()) + len(begun)) >= int(y.sum()), seed + 1
+    )
     explanation = problem.explanation
     recovery = LearnedRecovery(
         name=problem.stage.recovery,
         types=tuple(o.type for o in explanation.parameters),
-        sees=len(problem.view.objects),
+        sees=len(problem.objects),
         failed_skill=explanation.skill,
         arguments=tuple(explanation.parameters.index(o) for o in explanation.objects),
         horizon=problem.stage.horizon,
@@ -164,34 +130,42 @@ def learn_recovery(
     )
     figures = {
         "curve": curve,
-        "attempts": len(features),
-        "verdicts": sum(env.judged for env in opened),
+        "steps": curve["steps"][-1],
+        "attempts": len(first),
+        "verdicts": judged,
         "terminal_accuracy": round(accuracy, 4),
+        "failure_detector_accuracy": round(failed_accuracy, 4),
     }
-    return recovery, figures
+    return Learned(recovery, failed, tuple(run.state for run in last if run.succeeded), figures)
 
 
-def roll_out(
-    problem: Problem, net: ActorCritic, count: int, judged_every: int
-) -> tuple[Float[np.ndarray, "n d"], Bool[np.ndarray, "n"]]:
-    """States that the policy passes from failures on, and a little beyond success; from which the skill succeeds."""
-    limits = np.array(list(problem.embodiment.actions.values()))
-    middle, half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
-    features, labels = [], []
-    for start in problem.starts[:count]:
-        simulator = problem.embodiment.simulate(start.task)
-        simulator.reset(start.state)
-        since = 0
-        for step in range(problem.stage.horizon):
-            seen = problem.view(simulator.observe(live=True).state)
-            if step % judged_every == 0:
-                features.append(seen)
-                labels.append(problem.judge(simulator))
-                since += labels[-1]
-            # What comes after it is done, the terminal function has to know as well.
-            if since > 3:
-                break
-            with torch.no_grad():
-                action = net.act(torch.as_tensor(seen, dtype=torch.float32)[None])[0].clamp(-1, 1).double().numpy()
-            simulator.act(middle + half * action, 1.0 / problem.embodiment.rate_hz)
-    return np.stack(features), np.array(labels)
+def _tensor(features: np.ndarray) -> torch.Tensor:
+    return torch.as_tensor(features, dtype=torch.float32)
+
+
+@contextmanager
+def _opened(
+    problem: Problem,
+    model: SuccessModel,
+    seed: int,
+    s: RecoverySettings,
+    workers: int,
+    pose: Callable[[], Problem] | None,
+) -> Iterator[RecoveryEnv | SharedEnv]:
+    """The scenes, in this process or in others."""
+    if workers > 0 and pose is not None:
+        with SharedEnv(partial(_part, pose, workers, seed, s), model, s.ppo.scenes, workers) as env:
+            yield env
+    else:
+        yield RecoveryEnv(problem, model, count=s.ppo.scenes, seed=seed, gamma=s.ppo.gamma, settings=s.judged)
+
+
+def _part(
+    pose: Callable[[], Problem], workers: int, seed: int, s: RecoverySettings, number: int, count: int
+) -> RecoveryEnv:
+    """Some of the scenes, of some of the failures: each is built once."""
+    problem = pose()
+    problem = replace(problem, starts=problem.starts[number::workers] or problem.starts)
+    model = SuccessModel(problem.interface.features, seed)
+    part_seed = int(np.random.default_rng([seed, number]).integers(2**31))
+    return RecoveryEnv(problem, model, count=count, seed=part_seed, gamma=s.ppo.gamma, settings=s.judged)

@@ -67,7 +67,7 @@ class Environment(Protocol):
         """Begin new episodes in the scenes of these indices."""
         ...
 
-    def learn(self) -> None:
+    def learn(self) -> object:
         """Between two batches: time for what the environment itself learns."""
         ...
 

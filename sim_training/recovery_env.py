@@ -1,30 +1,41 @@
 """The recovery MDP of any domain (section 3.1): begins where a skill failed, ends by the planner's verdict.
 
-An episode begins in a state from which a skill failed, acts in the embodiment's own actions, and has succeeded where
-the failed skill, run from there, reaches its effects. Nothing else says what recovered means. Running the skill is
-dear, so a model of where it succeeds gives the reward and says when a run is worth its time; the run has the last word,
-and the model learns from each.
+An episode begins in a state from which a skill failed, and has succeeded where the failed skill, run from there,
+reaches its effects. Nothing else says what recovered means. Running the skill is dear, so a model of where it succeeds
+gives the reward and says when a run is worth its time; the model learns from each run, and as long as runs confirm
+what it claims, most of its claims are believed. Episodes also begin between failure and freedom, and on the way of
+earlier successes, so that success is found early.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from resync_robot.core.embodiment import Embodiment, TrainingSimulator
 from resync_robot.core.errors import TrainingError
-from resync_robot.core.skill import GroundSkill
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atoms
-from resync_robot.core.task import Task
+from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
-from resync_robot.planning.execute import run_skill
+from resync_robot.sim_training.recovery_episodes import Episodes, Scene
+from resync_robot.sim_training.recovery_problem import Problem
+
+
+@dataclass(frozen=True)
+class Try:
+    """One run of the failed skill: the state that it began in, what the recovery sees of it, and how it ended."""
+
+    state: State
+    features: Float[np.ndarray, " d"]
+    succeeded: bool
+
+
+Tried = list[Try]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,87 +46,45 @@ class JudgedSettings:
     """Reward for going from certain failure to certain success, as the model sees it; 0: the verdict alone."""
     success_reward: float = 5.0
     step_cost: float = 0.01
-    worth_a_try: float = 0.5
-    """Probability of success from which on the failed skill is run to see."""
+    worth_a_try: float = 0.8
+    """Probability of success from which on a state counts as a claim: the failed skill is run to see..."""
+    confirmed: float = 0.95
+    """...and share of claims that are to hold: each that does not raises that probability, each that does lowers it
+    again a little."""
     patience: int = 5
     """Actions after a run that failed until the next one in the same episode."""
-    judged_ends: float = 0.5
+    believed: float = 0.75
+    """Share of claims that runs confirmed lately, from which on most are believed without a run..."""
+    checked: float = 0.1
+    """...but for this share."""
+    verdicts: float = 0.05
+    """Most runs of the failed skill for each action that is taken, while the model can be asked instead."""
+    judged_ends: float = 0.2
     """Share of the episodes that run out of time whose end is judged all the same: what the model is sure of is
     what it never learns otherwise."""
     between: float = 0.5
-    """Share of episodes that begin where an earlier one passed on its way to success."""
-    passed: int = 512
-    """How many such states are kept."""
+    """Share of episodes that begin between failure and freedom, or where an earlier one passed on its way to
+    success."""
+    kept: int = 512
+    """How many such states are kept of either kind, and scenes."""
 
 
-@dataclass(frozen=True)
-class Judge:
-    """Says whether the failed skill succeeds now; leaves the simulator as it was.
-
-    Attributes:
-        failed: the skill that failed, with its objects.
-        effects: what holds once it has succeeded.
-        true_atoms: the atoms of a state, by the given predicates.
-    """
-
-    failed: GroundSkill
-    effects: Atoms
-    true_atoms: Callable[[State], Atoms]
-
-    def __call__(self, simulator: TrainingSimulator) -> bool:
-        before = simulator.save()
-        run_skill(simulator, self.failed)
-        succeeded = self.effects <= self.true_atoms(simulator.perceive())
-        simulator.restore(before)
-        return succeeded
+LATELY = 40
+"""Verdicts on claims of the model that tell how far it can be believed."""
+STRICTER, STRICTEST = 0.3, 2.0
+"""By how much a refuted claim raises the log-odds that the next one needs, and by how much all of them may."""
+AT_ONCE = 50
+"""Runs that are allowed before there was any action."""
+STUMBLES = 8
+"""Most actions at random before one of the first attempts: what an episode passes looks other than where it begins."""
+BEYOND = 4
+"""Actions that a roll-out goes on for where the model is sure of success."""
 
 
-@dataclass(frozen=True)
-class Start:
-    """Where an episode may begin: a task, and the state in which its skill had failed."""
-
-    task: Task
-    state: State
-
-
-@dataclass
-class _Scene:
-    task: Task
-    simulator: TrainingSimulator
-    steps: int = 0
-    rested: int = 0
-    """Actions since the planner was asked last."""
-    way: list[tuple[Any, float]] | None = None
-    """Snapshots along this episode, each with the probability of success there."""
-
-
-def try_from(
-    embodiment: Embodiment, starts: Sequence[Start], judge: Judge, see: Callable[[State], Float[np.ndarray, " d"]]
-) -> tuple[Float[np.ndarray, "n d"], Bool[np.ndarray, "n"]]:
-    """Attempts of the failed skill from each start that stands still: what a success model is fitted to first.
-
-    Returns:
-        The features that the attempts began with, and whether they succeeded.
-
-    Raises:
-        TrainingError: no start stands still.
-    """
-    features, succeeded = [], []
-    for start in starts:
-        simulator: TrainingSimulator = embodiment.simulate(start.task)
-        if simulator.reset(start.state):
-            features.append(see(simulator.observe(live=True).state))
-            succeeded.append(judge(simulator))
-    if not features:
-        raise TrainingError(f"none of {len(starts)} states stands still in the simulator", "check-domain tells more")
-    return np.stack(features), np.array(succeeded)
-
-
-def teach(model: SuccessModel, tried: Sequence[Sequence[tuple[Float[np.ndarray, " d"], bool]]]) -> None:
+def teach(model: SuccessModel, runs: Tried) -> None:
     """Fit the model anew to all that it remembers, and these runs."""
-    runs = [run for some in tried for run in some]
     if runs:
-        model.add(np.stack([x for x, _ in runs]), np.array([y for _, y in runs]))
+        model.add(np.stack([run.features for run in runs]), np.array([run.succeeded for run in runs]))
     # As long as all attempts end alike, every state is worth one.
     if model.has_both:
         model.fit()
@@ -125,9 +94,7 @@ class RecoveryEnv:
     """Scenes of one failure, stepped one after the other in this process: an `Environment` of `ppo`.
 
     Args:
-        see: a state -> the relational features of what the recovery is about, which the policy and the model see.
         count: scenes.
-        horizon: actions after which an episode ends.
 
     Raises:
         TrainingError: there is nowhere to begin.
@@ -135,53 +102,45 @@ class RecoveryEnv:
 
     def __init__(
         self,
-        embodiment: Embodiment,
-        starts: Sequence[Start],
-        judge: Judge,
-        see: Callable[[State], Float[np.ndarray, " d"]],
+        problem: Problem,
         model: SuccessModel,
         *,
         count: int,
-        horizon: int,
         seed: int,
         gamma: float = 0.98,
         settings: JudgedSettings | None = None,
     ) -> None:
-        if not starts:
+        if not problem.starts:
             raise TrainingError("there is no state in which the skill failed: mine failures first")
-        self.count, self.horizon, self.gamma = count, horizon, gamma
+        self.problem, self.model, self.count, self.gamma = problem, model, count, gamma
         self.settings = settings or JudgedSettings()
-        self._embodiment, self._starts, self._judge, self._see, self.model = embodiment, starts, judge, see, model
-        limits = np.array(list(embodiment.actions.values()))
-        self._middle, self._half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
-        self._rng = np.random.default_rng(seed)
-        self._passed: list[tuple[Task, Any]] = []
-        self._tried: list[tuple[np.ndarray, bool]] = []
-        self._scenes = [self._open(starts[int(self._rng.integers(len(starts)))]) for _ in range(count)]
-        self._features = np.stack([self._look(scene) for scene in self._scenes])
-        self._likely = self.model.probability(self._features)
+        self._judge, self._rng = problem.judge, np.random.default_rng(seed)
+        self._episodes = Episodes(problem, self._rng, self.settings.between, self.settings.kept)
+        self._tried: Tried = []
+        self._claims: deque[bool] = deque(maxlen=LATELY)
+        self._demand = 0.0
+        self._allowed = float(AT_ONCE)
         self.judged = 0
+        self._scenes = [self._begun() for _ in range(count)]
+        self._look(range(count), first=True)
 
     # -- an environment for PPO ----------------------------------------------------------------------------------------
 
     def observe(self) -> Tensor:
-        """(count, d) relational features."""
+        """(count, d) what the policy sees."""
         return torch.as_tensor(self._features, dtype=torch.float32)
 
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Take (count, k) actions in [-1, 1], scaled to the embodiment's. Reward, success, terminated and truncated."""
+        """Take (count, k) actions in [-1, 1]. Reward, success, terminated and truncated."""
         s = self.settings
-        sent = self._middle + self._half * action.clamp(-1, 1).double().numpy()
-        for scene, vector in zip(self._scenes, sent, strict=True):
-            scene.simulator.act(vector, 1.0 / self._embodiment.rate_hz)
-            scene.steps += 1
-            scene.rested += 1
-        self._features = np.stack([self._look(scene) for scene in self._scenes])
-        before, self._likely = self._likely, self.model.probability(self._features)
-        ended = np.array([scene.steps >= self.horizon for scene in self._scenes])
+        self._episodes.move(self._scenes, action.double().numpy())
+        before = self._potential
+        self._look(range(self.count))
+        self._allowed += self.count * self.settings.verdicts
+        ended = np.array([scene.steps >= self.problem.stage.horizon for scene in self._scenes])
         success = self._ask(ended)
         # A potential that is 0 where an episode ends for good leaves the best policy what it is (Ng et al. 1999).
-        gained = s.shaping * (self.gamma * np.where(success, 0.0, self._likely) - before)
+        gained = s.shaping * (self.gamma * np.where(success, 0.0, self._potential) - before)
         gained += s.success_reward * success - s.step_cost
         self._remember_ways(success)
         return (
@@ -192,66 +151,153 @@ class RecoveryEnv:
         )
 
     def reset(self, which: Tensor) -> None:
-        """Begin new episodes, in states of failures or on the way of episodes that ended well."""
+        """Begin new episodes."""
         for i in which.tolist():
-            if self._passed and self._rng.random() < self.settings.between:
-                task, snapshot = self._passed[int(self._rng.integers(len(self._passed)))]
-                scene = self._scenes[i] = self._renewed(self._scenes[i], task)
-                scene.simulator.restore(snapshot)
-            else:
-                start = self._starts[int(self._rng.integers(len(self._starts)))]
-                scene = self._scenes[i] = self._renewed(self._scenes[i], start.task)
-                scene.simulator.reset(start.state)
-            self._features[i] = self._look(scene)
-        self._likely = self.model.probability(self._features)
+            self._episodes.end(self._scenes[i])
+            self._scenes[i] = self._begun()
+        self._look(which.tolist())
 
-    def learn(self) -> None:
-        """The model learns from the runs since the last time, of all scenes."""
-        teach(self.model, [self.taken()])
+    def learn(self) -> Tried:
+        """The model learns from the runs since the last time, of all scenes; these runs."""
+        runs = self.taken()
+        teach(self.model, runs)
         self.follow(self.model)
+        return runs
 
-    def taken(self) -> list[tuple[Float[np.ndarray, " d"], bool]]:
-        """The runs of the failed skill since the last time that somebody asked: where each began, and how it ended."""
+    def taken(self) -> Tried:
+        """The runs of the failed skill since the last time that somebody asked."""
         tried, self._tried = self._tried, []
         return tried
 
     def follow(self, model: SuccessModel) -> None:
         """Rewards are those of `model` from here on."""
         self.model = model
-        self._likely = model.probability(self._features)
+        self._judge_features(range(self.count))
 
-    # ------------------------------------------------------------------------------------------------------------------
+    # -- what the model is fitted to first, and the terminal function in the end ---------------------------------------
+
+    def attempt(self, count: int) -> None:
+        """Run the failed skill from failures, from states where nothing obstructs, and twice as often from states
+        between the two, every second time after a few actions at random; `taken` tells how it went. Where it fails
+        between, episodes can begin."""
+        for i in range(count):
+            kind = i // 2 % 4
+            failed = self.problem.starts[int(self._rng.integers(len(self.problem.starts)))]
+            free = self.problem.free(int(self._rng.integers(2**31))) if kind else None
+            start = failed if free is None else free if kind == 1 else self.problem.between(failed, free, self._rng)
+            scene = self._episodes.begin_in(start.task, start.state)
+            if scene is None:
+                continue
+            snapshot = scene.simulator.save()
+            for _ in range(int(self._rng.integers(STUMBLES)) if i % 2 else 0):
+                self._episodes.move([scene], self._rng.uniform(-1, 1, (1, self.problem.interface.actions)))
+            if not self._verdict(scene, self._episodes.see([scene])[0]) and start is not failed:
+                self._episodes.keep(self._episodes.between, start.task, snapshot)
+            self._episodes.end(scene)
+
+    def roll_out(self, net: ActorCritic, count: int) -> Tried:
+        """Verdicts along episodes of a policy, and a little beyond success: each time halfway between the last state
+        that is known to fail and the first that is known to succeed."""
+        found: Tried = []
+        for _ in range(count):
+            scene = self._episodes.begin()
+            way, sure = [], 0
+            while True:
+                seen = self._episodes.see([scene])
+                way.append((scene.simulator.save(), scene.state, seen[0]))
+                sure += float(self.model.probability(seen)[0]) >= self._claimed_from()
+                if len(way) > self.problem.stage.horizon or sure > BEYOND:
+                    break
+                with torch.no_grad():
+                    action = net.act(torch.as_tensor(seen, dtype=torch.float32)).double().numpy()
+                self._episodes.move([scene], action)
+            fails, succeeds = -1, len(way)
+            while succeeds - fails > 1:
+                middle = (fails + succeeds) // 2
+                snapshot, state, features = way[middle]
+                scene.simulator.restore(snapshot)
+                verdict = self._judge(scene.simulator, scene.task.initial)
+                found.append(Try(state, features, verdict))
+                fails, succeeds = (fails, middle) if verdict else (middle, succeeds)
+            self._episodes.end(scene)
+        self.judged += len(found)
+        return found
+
+    # -- episodes ------------------------------------------------------------------------------------------------------
 
     def _ask(self, ended: Bool[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-        """Run the failed skill where it is worth a try. Returns where it succeeded."""
+        """Where the failed skill succeeds: by a run, where it is worth one, or by the model, where that can be
+        believed."""
         s, success = self.settings, np.zeros(self.count, dtype=bool)
         for i, scene in enumerate(self._scenes):
-            hopeful = self._likely[i] >= s.worth_a_try and scene.rested >= s.patience
-            if hopeful or (ended[i] and self._rng.random() < s.judged_ends):
-                success[i] = self._judge(scene.simulator)
+            claimed = self._likely[i] >= self._claimed_from() or not self.model.fitted
+            claimed &= scene.rested >= s.patience
+            if claimed and self._believed and self._rng.random() >= s.checked:
+                success[i] = True
+            elif (claimed or (ended[i] and self._rng.random() < s.judged_ends)) and (
+                not s.shaping or self._allowed > 0
+            ):
+                success[i] = self._verdict(scene, self._features[i])
+                self._allowed -= 1
                 scene.rested = 0
-                self.judged += 1
-                self._tried.append((self._features[i].copy(), bool(success[i])))
+                self._episodes.limit(scene.simulator)
+                if claimed:
+                    self._heard(bool(success[i]))
         return success
 
+    @property
+    def _believed(self) -> bool:
+        s = self.settings
+        # Without shaping nothing but verdicts counts.
+        return s.shaping > 0 and len(self._claims) == LATELY and sum(self._claims) >= s.believed * LATELY
+
+    def _heard(self, confirmed: bool) -> None:
+        """A verdict on a claim: what counts as one is raised and lowered so that in the long run the wanted share
+        holds."""
+        share = self.settings.confirmed
+        self._claims.append(confirmed)
+        self._demand += -STRICTER * (1 - share) / share if confirmed else STRICTER
+        self._demand = float(np.clip(self._demand, 0.0, STRICTEST))
+
+    def _claimed_from(self) -> float:
+        """The probability of success that is a claim now."""
+        worth = self.settings.worth_a_try
+        return worth / (worth + (1 - worth) * float(np.exp(-self._demand)))
+
+    def _verdict(self, scene: Scene, features: Float[np.ndarray, " d"]) -> bool:
+        succeeded = self._judge(scene.simulator, scene.task.initial)
+        self.judged += 1
+        self._tried.append(Try(scene.state, features.copy(), succeeded))
+        return succeeded
+
     def _remember_ways(self, success: Bool[np.ndarray, "n"]) -> None:
+        if self.settings.between <= 0:
+            return
         for i, scene in enumerate(self._scenes):
-            if scene.way is not None:
-                scene.way.append((scene.simulator.save(), float(self._likely[i])))
-            if success[i] and scene.way:
-                snapshot, _ = scene.way[int(self._rng.integers(len(scene.way)))]
-                self._passed.append((scene.task, snapshot))
-                if len(self._passed) > self.settings.passed:
-                    self._passed.pop(int(self._rng.integers(len(self._passed))))
+            scene.way.append(scene.simulator.save())
+            if success[i]:
+                snapshot = scene.way[int(self._rng.integers(len(scene.way)))]
+                self._episodes.keep(self._episodes.passed, scene.task, snapshot)
 
-    def _open(self, start: Start) -> _Scene:
-        simulator: TrainingSimulator = self._embodiment.simulate(start.task)
-        simulator.reset(start.state)
-        return _Scene(start.task, simulator, way=[] if self.settings.between > 0 else None)
+    def _begun(self) -> Scene:
+        """A new episode, in which the skill can be run at once."""
+        scene = self._episodes.begin()
+        scene.rested = self.settings.patience
+        return scene
 
-    def _renewed(self, scene: _Scene, task: Task) -> _Scene:
-        simulator = scene.simulator if scene.task is task else self._embodiment.simulate(task)
-        return _Scene(task, simulator, way=[] if self.settings.between > 0 else None)
+    def _look(self, which: Sequence[int], first: bool = False) -> None:
+        """See these scenes anew."""
+        if not len(which):
+            return
+        seen = self._episodes.see([self._scenes[i] for i in which])
+        if first:
+            self._features = np.array(seen, dtype=np.float64)
+            self._likely, self._potential = np.zeros(self.count), np.zeros(self.count)
+        self._features[list(which)] = seen
+        self._judge_features(which)
 
-    def _look(self, scene: _Scene) -> Float[np.ndarray, " d"]:
-        return self._see(scene.simulator.observe(live=True).state)
+    def _judge_features(self, which: Sequence[int]) -> None:
+        # New arrays: the ones before are the potentials that rewards compare with.
+        self._likely, self._potential = self._likely.copy(), self._potential.copy()
+        self._likely[list(which)] = self.model.probability(self._features[list(which)])
+        self._potential[list(which)] = self.model.potential(self._features[list(which)])

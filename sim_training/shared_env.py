@@ -14,8 +14,10 @@ import torch
 from torch import Tensor
 
 from resync_robot.core.errors import TrainingError
+from resync_robot.core.library import Record
+from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
-from resync_robot.sim_training.recovery_env import RecoveryEnv, teach
+from resync_robot.sim_training.recovery_env import RecoveryEnv, Tried, teach
 
 
 class SharedEnv:
@@ -72,12 +74,30 @@ class SharedEnv:
             self._send(connection, "reset", inside)
         self._observation = np.concatenate(self._answers())
 
-    def learn(self) -> None:
-        """The model learns from the runs of all parts, and all follow it."""
+    def learn(self) -> Tried:
+        """The model learns from the runs of all parts since the last time, and all follow it; these runs."""
         for connection in self._connections:
             self._send(connection, "taken", None)
-        teach(self.model, self._answers())
+        runs = [run for part in self._answers() for run in part]
+        teach(self.model, runs)
         self._follow()
+        return runs
+
+    def attempt(self, count: int) -> None:
+        """As `RecoveryEnv.attempt`, shared out among all parts."""
+        self._share("attempt", count)
+        self._answers()
+
+    def roll_out(self, net: ActorCritic, count: int) -> Tried:
+        """As `RecoveryEnv.roll_out`, shared out among all parts."""
+        self._share("roll_out", count, net.shape, net.to_tensors())
+        return [run for part in self._answers() for run in part]
+
+    @property
+    def judged(self) -> int:
+        """Runs of the failed skill so far."""
+        self._share("judged", 0)
+        return sum(self._answers())
 
     def close(self) -> None:
         for connection in self._connections:
@@ -98,6 +118,11 @@ class SharedEnv:
             for connection in self._connections:
                 self._send(connection, "follow", self.model.weights())
             self._answers()
+
+    def _share(self, command: str, count: int, *more: Any) -> None:
+        shares = np.array_split(np.arange(count), len(self._parts))
+        for connection, share in zip(self._connections, shares, strict=True):
+            self._send(connection, command, (len(share), *more))
 
     def _send(self, connection: Connection, command: str, content: Any) -> None:
         try:
@@ -147,6 +172,13 @@ def _answer(env: RecoveryEnv, command: str, content: Any) -> Any:
         return env.observe().numpy()
     if command == "taken":
         return env.taken()
+    if command == "attempt":
+        return env.attempt(*content)
+    if command == "roll_out":
+        count, shape, tensors = content
+        return env.roll_out(ActorCritic.from_record(Record(shape, tensors)), count)
+    if command == "judged":
+        return env.judged
     env.model.load(content)
     env.follow(env.model)
     return None

@@ -76,14 +76,14 @@ def chaining(domain: Domain, library: Library, skills: Mapping[str, Skill]) -> R
 
 def detector_of(domain: Domain, record: Record) -> Detector:
     """Of the failure that a recovery mends. Raises LibraryError where its record has none."""
+    failed = _terminal(record, "failed")
     if domain.embodiment is None:
-        failed = _terminal(record, "failed")
         return lambda state, objects: float(failed.probability(_of_corner(state, objects)))
-    done, sees = _terminal(record, "terminal"), int(record.meta["sees"])
+    sees = int(record.meta["sees"])
 
     def detects(state: State, objects: tuple[Object, ...]) -> float:
         seen = torch.as_tensor(RelationalView(objects[:sees], domain.relations)(state), dtype=torch.float32)[None]
-        return 1.0 - float(done.probability(seen))
+        return float(failed.probability(seen))
 
     return detects
 

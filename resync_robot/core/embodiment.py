@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from resync_robot.core.skill import Skill
 from resync_robot.core.state import State
@@ -53,6 +53,49 @@ class Embodiment:
     skills: Callable[[], tuple[Skill[Any, Any], ...]]
 
 
+class RecoveryInterface(Protocol):
+    """How a recovery begins, sees and acts, where it does not just act in the embodiment's own actions from where the
+    failed skill ended. A run is what it remembers from one action to the next.
+    """
+
+    @property
+    def features(self) -> int:
+        """Length of what the policy sees."""
+        ...
+
+    @property
+    def actions(self) -> int:
+        """Length of what it answers, each number in [-1, 1]."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """Answers a second."""
+        ...
+
+    @property
+    def approach(self) -> Skill[Any, Any] | None:
+        """Over (the robot, o^R and every o^F): brings the robot to where the policy takes over."""
+        ...
+
+    @property
+    def effort_limit(self) -> tuple[float, ...] | None:
+        """(6,) N m that an arm may use meanwhile, or None for its own."""
+        ...
+
+    def begin(self, objects: tuple[Object, ...], state: State, rng: np.random.Generator) -> Any:
+        """A run from here on, with what is drawn for it in training, such as how late the robot is."""
+        ...
+
+    def see(self, runs: Sequence[Any], states: Sequence[State]) -> Float[np.ndarray, "n d"]:
+        """What the policy sees of several scenes."""
+        ...
+
+    def act(self, runs: Sequence[Any], states: Sequence[State], actions: Float[np.ndarray, "n k"]) -> Sequence[Any]:
+        """The embodiment's action in each scene."""
+        ...
+
+
 @dataclass(frozen=True, kw_only=True)
 class Stage:
     """One failure to learn from.
@@ -61,8 +104,11 @@ class Stage:
         recovery: name of the skill to be learned.
         scenario: whose tasks fail.
         horizon: actions after which an attempt to recover is given up.
+        interface: how the recovery begins, sees and acts; None: where the failed skill ended, all relations between
+            what it is about, and the embodiment's own actions.
     """
 
     recovery: str
     scenario: str
     horizon: int
+    interface: RecoveryInterface | None = None

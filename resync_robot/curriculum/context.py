@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from resync_robot.core.embodiment import Embodiment
+from resync_robot.core.embodiment import Embodiment, Stage
+from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.library import Library, Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.task import Domain
@@ -20,6 +21,13 @@ class Context:
     domain: Domain
     embodiment: Embodiment
     model: Model
+
+    def stage(self, recovery: str) -> Stage:
+        """The stage that learns this recovery. Raises UnknownNameError."""
+        for stage in self.domain.stages:
+            if stage.recovery == recovery:
+                return stage
+        raise UnknownNameError(f"stage of {self.domain.name}", recovery, [s.recovery for s in self.domain.stages])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -183,7 +183,7 @@ class _Stage:
             seeds = c.seeds(number, "mine")
             mined = mine(domain, stage, folder, self._known, seeds, budgets.failures, workers, tell)
         with self._step("recover") as tell:
-            record = recover(self._known.open(), stage, folder, mined, budgets, c.seed, tell)
+            record = recover(self._known, stage, folder, budgets, c.seed, workers, tell)
         able = self._known.with_recovery(stage.recovery, record)
         with self._step("check") as tell:
             seeds = c.seeds(number, "check")[: budgets.checks]

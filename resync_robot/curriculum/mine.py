@@ -21,7 +21,7 @@ from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.failures import PairGaussian, fit_beside
 from resync_robot.sim_training.failure_mining import Explanation, FailedAttempt, attempt, explain
 from resync_robot.sim_training.parallel import parallel_map
-from resync_robot.sim_training.recovery_env import Start
+from resync_robot.sim_training.recovery_problem import Start
 
 FAILURES = "failures.json"
 MINED: Shape = {
@@ -71,7 +71,7 @@ def mine(
     """
     path = folder.path / FAILURES
     if folder.figures("mine") and path.exists():
-        return _read(path, domain, stage)
+        return read_mined(path, domain, stage)
     found: list[tuple[int, FailedAttempt]] = []
     tried, batch = 0, max(8, 4 * workers)
     while len(found) < count:
@@ -100,11 +100,11 @@ def mine(
         },
     )
     folder.record("mine", {"tasks": tried, "failed": len(found), "kept": len(alike)})
-    return _read(path, domain, stage)
+    return read_mined(path, domain, stage)
 
 
-def _read(path: Path, domain: Domain, stage: Stage) -> Mined:
-    """Raises TrainingError where the file is damaged."""
+def read_mined(path: Path, domain: Domain, stage: Stage) -> Mined:
+    """What `mine` left. Raises TrainingError where the file is damaged."""
     with reading(path):
         saved: dict[str, Any] = read_json(path)
         check_shape(saved, MINED)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,16 +19,17 @@ from resync_robot.core.library import Record
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.curriculum.context import Context, Known
-from resync_robot.curriculum.mine import Mined, task_of
+from resync_robot.curriculum.mine import FAILURES, Mined, read_mined, task_of
 from resync_robot.curriculum.presets import StagePreset
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.failures import PairGaussian, fit_beside
 from resync_robot.learning.learned_recovery import LearnedRecovery
 from resync_robot.planning.execute import run_skill
+from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import Explanation
-from resync_robot.sim_training.learn_recovery import learn_recovery, pose_problem
+from resync_robot.sim_training.learn_recovery import learn_recovery
 from resync_robot.sim_training.parallel import parallel_map
-from resync_robot.sim_training.recovery_env import Judge
+from resync_robot.sim_training.recovery_problem import Problem, judge_of, pose_problem
 
 LEAST_RECOVERED = 5
 """Fresh tasks that a recovery has to mend at least: fewer tell nothing of what it leaves behind."""
@@ -34,38 +37,45 @@ CHECKED: Shape = {"states": [dict]}
 """The field of recovered.json: states that a recovery led to, from which the failed skill then succeeded."""
 
 
+def _pose(known: Known, recovery: str, failures: Path) -> Problem:
+    """The problem, made anew in each process from what was mined."""
+    context = known.open()
+    stage = context.stage(recovery)
+    mined = read_mined(failures, context.domain, stage)
+    return pose_problem(context.domain, context.embodiment, stage, context.model, mined.explanation, mined.starts)
+
+
 def recover(
-    context: Context, stage: Stage, folder: StageFolder, mined: Mined, preset: StagePreset, seed: int, tell: Tell
+    known: Known, stage: Stage, folder: StageFolder, preset: StagePreset, seed: int, workers: int, tell: Tell
 ) -> Record:
-    """The record of the recovery: learned from `mined`, or read where it is there already. Resumes in between.
+    """The record of the recovery: learned from what was mined, or read where it is there already. Resumes in between.
 
     Raises:
         TrainingError: it cannot be learned, or a file is damaged.
     """
     meta, weights = folder.path / "recovery.json", folder.path / "recovery.safetensors"
     if not (folder.figures("recover") and meta.exists() and weights.exists()):
-        problem = pose_problem(
-            context.domain, context.embodiment, stage, context.model, mined.explanation, mined.starts
-        )
-        learned, figures = learn_recovery(
-            context.domain,
-            problem,
+        pose = partial(_pose, known, stage.recovery, folder.path / FAILURES)
+        learned = learn_recovery(
+            pose(),
             seed,
             folder.path / "ppo.safetensors",
             lambda steps, budget, rate: tell(steps / budget, f"success {rate:.3f} after {steps // 1000} k actions"),
             preset.recovery,
+            workers=workers if workers > 1 else 0,
+            pose=pose,
         )
-        record = learned.to_record()
+        record, figures = learned.to_record(), learned.figures
         with whole(weights) as beside:
             save_file({k: np.ascontiguousarray(v) for k, v in record.tensors.items()}, beside)
         write_json(meta, record.meta)
-        folder.record("recover", {**figures, "steps": figures["curve"]["steps"][-1]})
+        folder.record("recover", {**figures, "stop_at": preset.recovery.ppo.stop_at})
     with reading(meta):
         saved = read_json(meta)
         check_shape(saved, {})
     with reading(weights):
         record = Record(saved, load_file(weights))
-        LearnedRecovery.from_record(stage.recovery, record, {t.name: t for t in context.domain.types})
+        LearnedRecovery.from_record(stage.recovery, record, {t.name: t for t in find_domain(known.domain).types})
     return record
 
 
@@ -85,16 +95,11 @@ def _check(context: Context, job: _Check) -> tuple[bool, State | None] | None:
     simulator = context.embodiment.simulate(task)
     if not simulator.reset(task.initial):
         return None
-    about, model = job.explanation, context.model
-    done = run_skill(simulator, model.skill(job.stage.recovery).ground(about.parameters)).done
+    about = job.explanation
+    done = run_skill(simulator, context.model.skill(job.stage.recovery).ground(about.parameters)).done
     left = simulator.perceive()
-    operator = next(o for o in model.operators if o.name == about.skill)
-    judge = Judge(
-        model.skill(about.skill).ground(about.objects),
-        operator.ground(about.objects).add,
-        model.abstraction.true_atoms,
-    )
-    return done, left if judge(simulator) else None
+    judge = judge_of(context.domain, context.model, about)
+    return done, left if judge(simulator, task.initial) else None
 
 
 def check(

@@ -3,41 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-import torch
 from safetensors.numpy import save_file
 
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.files import whole, write_json
 from resync_robot.core.library import Record
-from resync_robot.core.relations import Relation, between, seen
+from resync_robot.core.relations import between, seen
 from resync_robot.core.rig import Rig
 from resync_robot.core.symbols import Object
-from resync_robot.core.task import Domain, Task
+from resync_robot.core.task import Domain
 from resync_robot.core.trajectory import Trajectory, read_trajectories, write_trajectories
 from resync_robot.core.vocabulary import ROBOT, TYPES
+from resync_robot.curriculum.arm_recovery import RECOVERY, learn_arm_recovery
+from resync_robot.curriculum.device_recovery import learn_on_device
 from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.stage_files import Mined, read_learned, read_mined
-from resync_robot.learning import recovery_policy as view
 from resync_robot.learning.failures import PairGaussian, find_culprit
-from resync_robot.learning.recovery_policy import ActorCritic
-from resync_robot.learning.terminals import train_terminal
 from resync_robot.library_models import initial_model, model_with_recovery
 from resync_robot.planning.execute import Model, run_skill
-from resync_robot.sim_training.block_recovery import RecoveryEnv, scaled_to_device, train_recovery
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.dream import DreamSpec, dream, dream_specs, useful
+from resync_robot.sim_training.learn_recovery import RecoverySettings
 from resync_robot.sim_training.mine import Attempt, attempt_task, is_at_rest, resample_failure
 from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.physics.solver import Solver, with_solver
 from resync_robot.sim_training.physics.world import SimWorld
-from resync_robot.sim_training.ppo import PpoSettings
-from resync_robot.sim_training.recovery import RecoverySettings, draw_still, is_recovered
-from resync_robot.sim_training.vector_env import RecoveryScenes
 
 Progress = Callable[[float, str], None]
 """Called with the share of a stage that is done and the figure that matters."""
@@ -51,7 +46,7 @@ class Preset:
     """N, the training tasks that are tried first."""
     failures: int = 256
     """Size of the mined set D^F."""
-    ppo: PpoSettings = field(default_factory=PpoSettings)
+    recovery: RecoverySettings = RECOVERY
     proxy_checks: int = 24
     """Fresh worlds in which the recovery is followed by the real failed skill."""
     dreams: int = 150
@@ -61,7 +56,12 @@ class Preset:
 PRESETS = {
     "smoke": Preset(
         failures=16,
-        ppo=PpoSettings(total_steps=45_000, least_steps=0, stop_at=0.9),
+        recovery=replace(
+            RECOVERY,
+            attempts=60,
+            roll_outs=24,
+            ppo=replace(RECOVERY.ppo, total_steps=45_000, least_steps=0, stop_at=0.9),
+        ),
         proxy_checks=4,
         dreams=24,
         attempts=12,
@@ -69,7 +69,9 @@ PRESETS = {
     "quick": Preset(),
     "full": Preset(
         failures=512,
-        ppo=PpoSettings(total_steps=2_000_000, least_steps=1_000_000, stop_at=0.999),
+        recovery=replace(
+            RECOVERY, ppo=replace(RECOVERY.ppo, total_steps=2_000_000, least_steps=1_000_000, stop_at=0.999)
+        ),
         proxy_checks=200,
         dreams=600,
         attempts=2000,
@@ -179,95 +181,24 @@ def learn_recovery(
     relation = between(mined.relevant.type, mined.culprit.failure_object.type, domain.relations)
     learned = read_learned(meta, weights, len(relation.names))
     if learned is None or not folder.has_figures("recovery"):
-        rig, settings, ppo = folder.rig, RecoverySettings(), scaled_to_device(preset.ppo, device)
-        tasks = mined.tasks(domain)
-        net, figures = train_recovery(
-            tasks,
-            mined.relevant,
-            rig,
-            seed,
-            workers,
-            ppo,
-            settings,
-            folder.stages / "ppo.safetensors",
-            lambda steps, budget, rate: progress(steps / budget, f"success {rate:.3f} after {steps // 1000} k steps"),
-            device,
-        )
-        terminal_data, after = _roll_out(net, tasks, mined, relation, rig, settings, seed, workers)
-        done, accuracy = train_terminal(*terminal_data["done"], seed)
-        failed, failed_accuracy = train_terminal(*terminal_data["failed"], seed + 1)
-        tensors = {f"policy.{k}": v for k, v in net.to_tensors().items()}
-        for name, terminal in (("terminal", done), ("failed", failed)):
-            tensors |= {f"{name}.{k}": v for k, v in terminal.to_record().tensors.items()}
+        checkpoint = folder.stages / "ppo.safetensors"
+
+        def shown(steps: int, budget: int, rate: float) -> None:
+            progress(steps / budget, f"success {rate:.3f} after {steps // 1000} k steps")
+
+        if device == "cpu":
+            made = learn_arm_recovery(domain.spec, folder.rig, mined, seed, workers, checkpoint, shown, preset.recovery)
+        else:
+            made = learn_on_device(
+                domain, folder.rig, mined, seed, workers, checkpoint, shown, preset.recovery.ppo, device
+            )
+        record, after, figures = made
         with whole(weights) as beside:
-            save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, beside)
-        folder.record(
-            "recovery",
-            {
-                "curve": figures["curve"],
-                "steps": figures["curve"]["steps"][-1],
-                "stop_at": ppo.stop_at,
-                # Only then all episodes count, and not just those that end early.
-                "first_time_limit": ppo.scenes * settings.horizon,
-                "terminal_accuracy": round(accuracy, 4),
-                "failure_detector_accuracy": round(failed_accuracy, 4),
-            },
-        )
-        record = Record(
-            {
-                "policy": {"width": 256, "depth": 4},
-                "terminal": done.to_record().meta,
-                "failed": failed.to_record().meta,
-                "signature": ["robot", mined.relevant.type.name, mined.culprit.failure_object.type.name],
-                "failed_skill": mined.culprit.skill,
-            },
-            tensors,
-        )
+            save_file({k: np.ascontiguousarray(v) for k, v in record.tensors.items()}, beside)
+        folder.record("recovery", figures)
         write_json(meta, {**record.meta, "after": after.to_json()})
         learned = record, after
     return learned
-
-
-def _roll_out(
-    net: ActorCritic,
-    tasks: list[Task],
-    mined: Mined,
-    relation: Relation,
-    rig: Rig,
-    s: RecoverySettings,
-    seed: int,
-    workers: int,
-) -> tuple[dict[str, tuple[torch.Tensor, torch.Tensor]], PairGaussian]:
-    """States before and at the goal, on past the first success, so that beta also knows what comes after."""
-    seen, labels, relative, begun = [], [], [], []
-    with RecoveryScenes(tasks, mined.relevant, rig, 64, workers) as scenes:
-        env = RecoveryEnv(scenes, rig, s, 0.98, seed + 7, rebuild=0.5)
-        for _ in range(3):
-            env.reset(np.arange(scenes.count))
-            begun.append(view.observe(env.x))
-            for _ in range(20):
-                still = draw_still(env.x, env.random)
-                seen.append(view.observe(still))
-                labels.append(is_recovered(still, still, s))
-            reached = torch.zeros(scenes.count, dtype=torch.bool)
-            for _ in range(s.horizon):
-                with torch.no_grad():
-                    action = net.act(view.observe(env.x))
-                previous = env.x
-                env.step(action + 0.15 * torch.randn(action.shape, generator=env.random))
-                success = is_recovered(env.x, previous, s)
-                seen.append(view.observe(env.x))
-                labels.append(success)
-                first = env.x[success & ~reached].double().numpy()
-                relative += list(relation.see(first[:, view.BLOCK], first[:, view.BOX]))
-                reached |= success
-    features, done = torch.cat(seen), torch.cat(labels)
-    # The failure detector: D^F is where the skill failed, recovered states are where it would not have.
-    failure = torch.cat([features[done], *begun])
-    failed = torch.cat([torch.zeros(int(done.sum())), torch.ones(sum(map(len, begun)))])
-    return {"done": (features, done.long()), "failed": (failure, failed.long())}, PairGaussian.fit(
-        relative, relation.resolution
-    )
 
 
 def _check(context: Context, job: tuple[Mined, int, Solver | None]) -> tuple[bool, bool] | None:

@@ -210,6 +210,12 @@ def fit_beside(domain: Domain, states: Sequence[State], cause: Object, relevant:
     return PairGaussian.fit(list(rows), relation.resolution)
 
 
+def lies_beside(domain: Domain, state: State, cause: Object, relevant: Object) -> np.ndarray:
+    """How the cause of a failure lies beside what it is about, in the columns of `fit_beside`."""
+    moved, anchor = domain.moving(cause, relevant)
+    return resampling(domain, moved.type, anchor.type).see(state[moved][None], state[anchor][None])[0]
+
+
 def spread_beside(domain: Domain, states: Sequence[State], cause: Object, relevant: Object) -> float:
     """How little the one tells of where the other lies: the mean standard deviation of the columns of `fit_beside`, in
     units of their resolution."""

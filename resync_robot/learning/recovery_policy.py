@@ -28,6 +28,8 @@ STEP = 0.02
 """m of commanded tip motion per control step at action 1."""
 LEASH = 0.015
 """m that the commanded tip may lead the measured one: bounds the force of a press."""
+LAG = 0.9
+"""Most control steps that an arm may be behind its commands: streaming within jerk limits costs 30 to 90 ms."""
 STUD = 0.012
 LOWEST_TIP = 0.02
 """m above the box floor below which the tip is never sent."""

@@ -29,6 +29,9 @@ class SuccessModelSettings:
     batch: int = 256
     smoothing: float = 0.02
     """Labels are this far from 0 and 1: away from all attempts the odds then keep a slope to climb."""
+    blur: float = 0.5
+    """Noise on what the potential is fitted to, in standard deviations of each feature: it then climbs where
+    probabilities are flat, far away from success."""
     remembered: int = 20_000
     """The latest attempts that are kept."""
 
@@ -47,11 +50,9 @@ class SuccessModel:
         width = self.settings.width
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self._net = nn.Sequential(
-                nn.Linear(features, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh(), nn.Linear(width, 1)
-            )
+            self._nets = nn.ModuleDict({name: _net(features, width) for name in ("sharp", "blurred")})
         self._mean, self._scale = torch.zeros(features), torch.ones(features)
-        self._optimiser = torch.optim.AdamW(self._net.parameters(), lr=self.settings.learning_rate)
+        self._optimiser = torch.optim.AdamW(self._nets.parameters(), lr=self.settings.learning_rate)
         self._x, self._y = torch.zeros(0, features), torch.zeros(0)
         self._fitted = False
 
@@ -99,9 +100,13 @@ class SuccessModel:
         for _ in range(steps):
             halves = [of[torch.randint(len(of), (s.batch // 2,), generator=self._random)] for of in places]
             rows = torch.cat(halves)
-            loss = nn.functional.binary_cross_entropy_with_logits(self._logits(self._x[rows]), target[rows])
+            noise = self.settings.blur * torch.randn(len(rows), self._x.shape[1], generator=self._random)
+            loss, blurred = (
+                nn.functional.binary_cross_entropy_with_logits(self._logits(name, self._x[rows], by), target[rows])
+                for name, by in (("sharp", 0 * noise), ("blurred", noise))
+            )
             self._optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            (loss + blurred).backward()  # type: ignore[no-untyped-call]
             self._optimiser.step()
             losses.append(float(loss.detach()))
         return float(np.mean(losses[-10:]))
@@ -111,20 +116,38 @@ class SuccessModel:
         if not self._fitted:
             return np.full(len(features), 0.5)
         with torch.no_grad():
-            return torch.sigmoid(self._logits(torch.as_tensor(features, dtype=torch.float32))).double().numpy()
+            return torch.sigmoid(self._logits("sharp", torch.as_tensor(features, dtype=torch.float32))).double().numpy()
 
-    def _logits(self, x: torch.Tensor) -> torch.Tensor:
-        found: torch.Tensor = self._net(((x - self._mean) / self._scale).clamp(-10, 10)).squeeze(-1)
+    @property
+    def fitted(self) -> bool:
+        """Whether it knows anything yet."""
+        return self._fitted
+
+    def potential(self, features: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n"]:
+        """Blurred log-odds of success, from 0 where failure is certain to 1; one half before the first fit."""
+        most = float(np.log((1 - self.settings.smoothing) / self.settings.smoothing))
+        if not self._fitted:
+            return np.full(len(features), 0.5)
+        with torch.no_grad():
+            odds = self._logits("blurred", torch.as_tensor(features, dtype=torch.float32)).double().numpy()
+        return np.clip(0.5 + odds / (2 * most), 0.0, 1.0)
+
+    def _logits(self, name: str, x: torch.Tensor, noise: torch.Tensor | float = 0.0) -> torch.Tensor:
+        found: torch.Tensor = self._nets[name](((x - self._mean) / self._scale).clamp(-5, 5) + noise).squeeze(-1)
         return found
 
     def weights(self) -> dict[str, np.ndarray]:
         """What `load` needs: for copies in other processes."""
-        tensors = {"mean": self._mean, "scale": self._scale, **self._net.state_dict()}
+        tensors = {"mean": self._mean, "scale": self._scale, **self._nets.state_dict()}
         return {name: value.numpy().copy() for name, value in tensors.items()}
 
     def load(self, weights: dict[str, np.ndarray]) -> None:
         """Predict as the model whose weights these are."""
         tensors = {name: torch.from_numpy(value) for name, value in weights.items()}
         self._mean, self._scale = tensors.pop("mean"), tensors.pop("scale")
-        self._net.load_state_dict(tensors)
+        self._nets.load_state_dict(tensors)
         self._fitted = True
+
+
+def _net(inputs: int, width: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh(), nn.Linear(width, 1))

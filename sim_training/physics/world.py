@@ -117,8 +117,8 @@ class SimWorld:
 
     def perceive(self) -> State:
         """The true state: an oracle, for training and for measuring what perception costs."""
-        q, _, opening, _ = self.measure()
-        return self.state(q, opening)
+        qpos = self.built.robot.qpos.astype(np.float64)
+        return self.state(qpos[self.built.arm_index], float(qpos[self.built.finger_index].sum()))
 
     def state(self, q: np.ndarray, opening: float) -> State:
         features = {o: self.task.initial[o] for o in self.task.objects}
@@ -215,6 +215,16 @@ class SimWorld:
         self.built.scene.update_render()
         camera.take_picture()
         return camera
+
+    def picture(self) -> np.ndarray:
+        """(h, w, 3) the scene as a camera beside it sees it, for people."""
+        camera = next((c for c in self.rig.cameras if c.mount == "world"), self.rig.cameras[0])
+        if self.built.cameras:
+            return self.render_colour(camera.name).colour
+        # Scenes that are trained in have no looks.
+        seen = SimWorld(self.task, self.rig, rendered=True)
+        seen.restore(self.save())
+        return seen.render_colour(camera.name).colour
 
     def render_window(self, name: str, window: Window, size: int, error: np.ndarray) -> Cutout:
         """A noiseless part of a picture, by rays of its own: much cheaper than the whole. Raises UnknownNameError.

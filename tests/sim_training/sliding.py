@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from resync_robot.core.embodiment import Embodiment
+from resync_robot.core.embodiment import Embodiment, Stage
 from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object, Predicate, Type
-from resync_robot.core.task import Task
+from resync_robot.core.task import Domain, Task
+from resync_robot.sim_training.failure_mining import Explanation
+from resync_robot.sim_training.recovery_problem import Direct, Judge, Problem, Start
 
 PUSHER, SLIDER, STOP = Type("pusher", ("x",)), Type("slider", ("x", "held")), Type("stop", ("x",))
 P, S, END = PUSHER("p"), SLIDER("s"), STOP("end")
@@ -92,3 +94,22 @@ def true_atoms(state: State) -> Atoms:
 def see(state: State) -> np.ndarray:
     """(2,) how far the slider is from the end, and the pusher from the slider."""
     return np.array([state[S][0] - state[END][0], state[S][0] - state[P][0]])
+
+
+JUDGE = Judge(GRIP_SKILL.ground((P, S)), frozenset({HELD(S)}), true_atoms)
+
+
+def problem(starts: Sequence[Start]) -> Problem:
+    """To bring the slider to where it can be gripped, in 20 actions."""
+    domain = Domain("rail", (PUSHER, SLIDER, STOP), (HELD,), {}, (), {}, (STAGE,), EMBODIMENT)
+    explanation = Explanation("Grip", (P, S), 1, (END,))
+    return Problem(domain, EMBODIMENT, STAGE, explanation, tuple(starts), JUDGE, Direct(see, 2, EMBODIMENT))
+
+
+STAGE = Stage(recovery="Slide", scenario="rail", horizon=20)
+
+
+def attempts(starts: Sequence[Start]) -> tuple[np.ndarray, np.ndarray]:
+    """What a run of Grip from each start begins with, and whether it succeeds."""
+    rails = [Rail(start.task) for start in starts]
+    return np.stack([see(rail.perceive()) for rail in rails]), np.array([JUDGE(rail) for rail in rails])  # type: ignore[arg-type]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,10 @@ from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.execute import Model, run_skill
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import FailedAttempt, explain, mine_stage
-from resync_robot.sim_training.learn_recovery import RecoverySettings, learn_recovery, pose_problem
+from resync_robot.sim_training.learn_recovery import Learned, RecoverySettings, learn_recovery
 from resync_robot.sim_training.ppo import PpoSettings
-from resync_robot.sim_training.recovery_env import Start
+from resync_robot.sim_training.recovery_problem import Problem, Start, pose_problem
+from tests.sim_training.sliding import S, problem, task_at
 
 PUCKS = Path(__file__).parents[2] / "docs" / "puck_behind_a_door.py"
 
@@ -83,21 +85,52 @@ def test_a_recovery_is_learned_that_opens_the_door(
     domain: Domain, model: Model, failures: list[FailedAttempt], tmp_path: Path
 ) -> None:
     """In its executed form: the failed skill, then the policy, until it says itself that it is done; in fresh tasks."""
-    stage, found = domain.stages[0], explain(failures)
+    stage, found = domain.stages[0], explain(domain, failures)
     starts = [Start(f.task, f.state) for f in failures]
     problem = pose_problem(domain, domain.embodiment, stage, model, found, starts)
     ppo = PpoSettings(
         scenes=32, total_steps=60_000, least_steps=12_000, stop_at=0.95, minibatch=256, anneal_steps=40_000
     )
     settings = RecoverySettings(attempts=120, ppo=ppo, roll_outs=40)
-    recovery, figures = learn_recovery(domain, problem, 0, tmp_path / "ppo.safetensors", lambda *_: None, settings)
-    assert figures["curve"]["success"][-1] >= 0.9
+    learned = learn_recovery(problem, 0, tmp_path / "ppo.safetensors", lambda *_: None, settings)
+    assert learned.figures["curve"]["success"][-1] >= 0.9
     assert domain.embodiment is not None
-    skill = recovery.skill(model.skill(found.skill), domain.embodiment, domain.relations)
+    skill = learned.recovery.skill(model.skill(found.skill), domain.embodiment, domain.relations)
     assert [t.name for t in skill.types] == ["robot", "puck", "door"]
     assert _then_fetched(domain, problem.judge, skill.ground(found.projected)) >= 18
-    record = recovery.to_record()
+    record = learned.recovery.to_record()
     assert record.meta["signature"] == ["robot", "puck", "door"] and record.meta["failed_skill"] == "Fetch"
+
+
+SHORT = RecoverySettings(
+    attempts=20,
+    ppo=PpoSettings(scenes=8, steps=16, total_steps=2_560, least_steps=2_560, minibatch=64),
+    roll_outs=20,
+    width=16,
+)
+
+
+def slide() -> Problem:
+    rng = np.random.default_rng(0)
+    tasks = [task_at(0.0, x) for x in rng.uniform(0.1, 0.3, 16)]
+    return problem([Start(task, task.initial) for task in tasks])
+
+
+def test_equal_seeds_learn_the_same_and_a_run_goes_on_from_its_checkpoint(tmp_path: Path) -> None:
+    def learn(name: str, **more: Any) -> Learned:
+        return learn_recovery(slide(), 1, tmp_path / name, lambda *_: None, SHORT, **more)
+
+    one, two = learn("one"), learn("two")
+    weights = [learned.recovery.policy.to_tensors() for learned in (one, two)]
+    assert all((weights[0][name] == weights[1][name]).all() for name in weights[0])
+    assert one.after and all(0.5 < state[S][0] < 0.8 for state in one.after)
+    again = learn("one")
+    assert again.figures["curve"]["steps"] == one.figures["curve"]["steps"], "it was finished"
+    longer = replace(SHORT, ppo=replace(SHORT.ppo, total_steps=3_072))
+    on = learn_recovery(slide(), 1, tmp_path / "one", lambda *_: None, longer)
+    assert on.figures["steps"] == 3_072
+    shared = learn("shared", workers=2, pose=slide)
+    assert shared.figures["verdicts"] > 20 and shared.figures["steps"] == 2_560
 
 
 def _then_fetched(domain: Domain, judge, ground) -> int:  # type: ignore[no-untyped-def]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,10 @@ from resync_robot.core.errors import TrainingError
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
 from resync_robot.sim_training.ppo import PpoSettings, train_policy
-from resync_robot.sim_training.recovery_env import Judge, JudgedSettings, RecoveryEnv, Start, try_from
+from resync_robot.sim_training.recovery_env import AT_ONCE, LATELY, JudgedSettings, RecoveryEnv
+from resync_robot.sim_training.recovery_problem import Start
 from resync_robot.sim_training.shared_env import SharedEnv
-from tests.sim_training.sliding import EMBODIMENT, GRIP_SKILL, HELD, P, Rail, S, see, task_at, true_atoms
-
-JUDGE = Judge(GRIP_SKILL.ground((P, S)), frozenset({HELD(S)}), true_atoms)
+from tests.sim_training.sliding import JUDGE, Rail, S, attempts, problem, see, task_at
 
 
 def failing(count: int, seed: int = 0) -> list[Start]:
@@ -34,17 +34,8 @@ def anywhere(count: int, seed: int = 1) -> list[Start]:
 
 
 def environment(model: SuccessModel, count: int = 8, **settings: float) -> RecoveryEnv:
-    return RecoveryEnv(
-        EMBODIMENT,
-        failing(16),
-        JUDGE,
-        see,
-        model,
-        count=count,
-        horizon=20,
-        seed=3,
-        settings=JudgedSettings(**settings),  # type: ignore[arg-type]
-    )
+    chosen = JudgedSettings(worth_a_try=0.5, judged_ends=0.5)
+    return RecoveryEnv(problem(failing(16)), model, count=count, seed=3, settings=replace(chosen, **settings))  # type: ignore[arg-type]
 
 
 def test_the_judge_runs_the_skill_and_leaves_everything_as_it_was() -> None:
@@ -56,12 +47,12 @@ def test_the_judge_runs_the_skill_and_leaves_everything_as_it_was() -> None:
 
 
 def test_attempts_tell_the_model_where_the_skill_succeeds() -> None:
-    features, succeeded = try_from(EMBODIMENT, anywhere(300), JUDGE, see)
+    features, succeeded = attempts(anywhere(300))
     assert 0.1 < succeeded.mean() < 0.5
     model = SuccessModel(2, 0)
     model.add(features, succeeded)
     model.fit()
-    fresh, truth = try_from(EMBODIMENT, anywhere(300, seed=2), JUDGE, see)
+    fresh, truth = attempts(anywhere(300, seed=2))
     assert ((model.probability(fresh) > 0.5) == truth).mean() > 0.9
 
 
@@ -74,7 +65,7 @@ def test_a_model_that_knows_one_outcome_refuses_to_guess() -> None:
 
 
 def test_weights_travel() -> None:
-    features, succeeded = try_from(EMBODIMENT, anywhere(100), JUDGE, see)
+    features, succeeded = attempts(anywhere(100))
     model, copy = SuccessModel(2, 0), SuccessModel(2, 1)
     model.add(features, succeeded)
     model.fit()
@@ -92,21 +83,21 @@ def test_success_is_what_the_skill_says_and_not_what_the_model_believes() -> Non
     for _ in range(6):
         _, success, terminated, truncated = env.step(still)
         assert not (success | terminated | truncated).any()
-    assert env.judged == env.count
+    assert env.judged == 2 * env.count, "at once, and again after five actions"
     before = model.attempts
     env.learn()
-    assert model.attempts == before + env.count
+    assert model.attempts == before + 2 * env.count
 
 
 def test_rewards_of_an_episode_add_up_to_where_it_went() -> None:
     """Shaping only moves reward about: with gamma 1, an episode's sum tells its first potential and its success."""
-    features, succeeded = try_from(EMBODIMENT, anywhere(300), JUDGE, see)
+    features, succeeded = attempts(anywhere(300))
     model = SuccessModel(2, 0)
     model.add(features, succeeded)
     model.fit()
     env = environment(model, between=0.0, patience=1, worth_a_try=0.3)
     env.gamma, s = 1.0, env.settings
-    first = model.probability(env.observe().numpy().astype(float))
+    first = model.potential(env.observe().numpy().astype(float))
     total, done, steps = np.zeros(env.count), np.zeros(env.count, dtype=bool), np.zeros(env.count)
     for _ in range(20):
         gained, success, _, _ = env.step(torch.full((env.count, 1), 0.5))
@@ -129,9 +120,84 @@ def test_time_out_ends_an_episode_and_some_begin_on_the_way_of_a_success() -> No
     assert (env.observe()[:, 0] > 0.31).any()
 
 
+def knowing() -> SuccessModel:
+    model = SuccessModel(2, 0)
+    model.add(*attempts(anywhere(300)))
+    model.fit()
+    return model
+
+
+def pushed(env: RecoveryEnv, steps: int) -> int:
+    """How many episodes of pushing the slider along succeed."""
+    succeeded = 0
+    for _ in range(steps):
+        _, success, _, truncated = env.step(torch.full((env.count, 1), 0.5))
+        succeeded += int(success.sum())
+        env.reset(torch.nonzero(success | truncated).flatten())
+    return succeeded
+
+
+def test_claims_are_believed_while_verdicts_confirm_them() -> None:
+    trusting = environment(knowing(), worth_a_try=0.8, between=0.0)
+    believed = pushed(trusting, 150)
+    doubting = environment(knowing(), worth_a_try=0.8, between=0.0, believed=1.1)
+    assert pushed(doubting, 150) <= doubting.judged
+    assert LATELY < trusting.judged < 0.7 * believed
+    alone = environment(knowing(), worth_a_try=0.8, between=0.0, shaping=0.0)
+    assert pushed(alone, 150) <= alone.judged, "without shaping, verdicts alone count"
+
+
+def test_a_model_that_is_refuted_is_not_believed() -> None:
+    wrong = SuccessModel(2, 0)
+    x = np.random.default_rng(0).normal(size=(400, 2))
+    wrong.add(x, np.arange(400) % 400 > 0)
+    wrong.fit()
+    env = environment(wrong, worth_a_try=0.0, between=0.0, patience=1)
+    for _ in range(19):
+        success = env.step(torch.zeros(env.count, 1))[1]
+        assert not success.any()
+
+
+def test_runs_are_rationed() -> None:
+    env = environment(knowing(), believed=1.1, between=0.0, verdicts=0.0)
+    pushed(env, 200)
+    assert env.judged == AT_ONCE
+    env = environment(knowing(), believed=1.1, between=0.0, verdicts=0.01)
+    pushed(env, 200)
+    assert env.judged == AT_ONCE + 0.01 * 200 * env.count
+
+
+def test_the_potential_climbs_where_probabilities_are_flat() -> None:
+    model, far = knowing(), np.array([[x, 0.2] for x in (0.0, 0.15, 0.3, 0.45)])
+    assert (np.diff(model.potential(far)) > 0.01).all()
+    assert model.probability(far[:2]).max() < 0.1
+
+
+def test_verdicts_of_a_roll_out_close_in_on_where_it_begins_to_succeed() -> None:
+    class Push:
+        def act(self, seen: torch.Tensor) -> torch.Tensor:
+            return torch.full((len(seen), 1), 0.5)
+
+    env = environment(knowing(), worth_a_try=0.8, between=0.0)
+    runs = env.roll_out(Push(), 6)  # type: ignore[arg-type]
+    assert 12 <= len(runs) <= 36 and env.judged == len(runs)
+    where = {yes: [run.state[S][0] for run in runs if run.succeeded == yes] for yes in (False, True)}
+    assert all(0.5 < x < 0.8 for x in where[True]) and not any(0.5 < x < 0.8 for x in where[False])
+    assert min(where[True]) - max(where[False]) < 0.051
+
+
+def test_first_attempts_begin_in_failures_and_a_few_actions_on() -> None:
+    env = environment(SuccessModel(2, 0))
+    env.attempt(40)
+    runs = env.learn()
+    assert len(runs) == 40 == env.judged and not any(run.succeeded for run in runs)
+    begun = {tuple(see(start.state)) for start in failing(16)}
+    assert 20 <= sum(tuple(run.features) in begun for run in runs) < 40
+
+
 def test_nowhere_to_begin_is_an_error() -> None:
     with pytest.raises(TrainingError, match="mine failures first"):
-        RecoveryEnv(EMBODIMENT, [], JUDGE, see, SuccessModel(2, 0), count=1, horizon=5, seed=0)
+        RecoveryEnv(problem([]), SuccessModel(2, 0), count=1, seed=0)
 
 
 @pytest.mark.parametrize(("shaping", "while_exploring"), [(3.0, 0.9), (0.0, 0.7)])
@@ -139,7 +205,7 @@ def test_ppo_learns_to_recover_by_the_verdict(shaping: float, while_exploring: f
     """With what the model knows of the skill, and with the verdict alone."""
     model = SuccessModel(2, 0)
     if shaping:
-        model.add(*try_from(EMBODIMENT, anywhere(200), JUDGE, see))
+        model.add(*attempts(anywhere(200)))
         model.fit()
 
     @contextmanager
@@ -177,7 +243,7 @@ def _no_part(number: int, count: int) -> RecoveryEnv:
 
 def test_processes_step_as_one_environment_and_follow_one_model() -> None:
     model = SuccessModel(2, 0)
-    model.add(*try_from(EMBODIMENT, anywhere(200), JUDGE, see))
+    model.add(*attempts(anywhere(200)))
     model.fit()
     action = torch.linspace(-1, 1, 6)[:, None]
     alone = environment(SuccessModel(2, 0), count=3)

@@ -6,7 +6,7 @@ block does). Nothing here says so: the given model is oblivious, and the physics
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from resync_robot.core import spatial
 from resync_robot.core.embodiment import Stage
 from resync_robot.core.relations import moved, seen
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Variable
+from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Type, Variable
 from resync_robot.core.task import Domain, Scenario, Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.sim_training.domains.cornered_insertion_s.corner import RELATIONS, in_corner
@@ -72,6 +72,12 @@ def dream_task(rng: np.random.Generator, seed: int, blocks: int) -> Task:
     """On(b0, b1) with every block free on the table, so that any of them can be moved into the box."""
     names = tuple(f"b{i}" for i in range(blocks))
     return sample_task(rng, seed, frozenset({ON(BLOCK("b0"), BLOCK("b1"))}), Layout(free=names, in_box=0.0), PRACTICE)
+
+
+def free_task(rng: np.random.Generator, seed: int, counts: Mapping[Type, int]) -> Task:
+    """Every block with room on all sides, in the box or on the table."""
+    names = tuple(f"b{i}" for i in range(max(counts.get(BLOCK, 2), 2)))
+    return sample_task(rng, seed, frozenset({ON(BLOCK("b0"), BLOCK("b1"))}), Layout(free=names), PRACTICE)
 
 
 COVERED = 0.2
@@ -237,6 +243,7 @@ CORNERED_INSERTION_S = Domain(
     operators=(PICK, INSERT, PLACE),
     stages=(Stage(recovery="Recover", scenario="s0", horizon=80),),
     instruction="Drag the block out of the corner of the box.",
+    free=free_task,
     dream=dream_task,
     practice=practice_task,
     expert=expert,

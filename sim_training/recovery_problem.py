@@ -1,0 +1,177 @@
+"""The recovery problem of a stage (section 3.1): where episodes begin, what is seen and done, and who judges it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from resync_robot.core.embodiment import Embodiment, RecoveryInterface, Stage, TrainingSimulator
+from resync_robot.core.skill import GroundSkill
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atoms, Object, Type
+from resync_robot.core.task import Domain, Task
+from resync_robot.learning.failures import lies_beside, place_beside
+from resync_robot.learning.relational_view import RelationalView
+from resync_robot.planning.execute import Model, run_skill
+from resync_robot.sim_training.failure_mining import Explanation
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Says whether the failed skill succeeds now; leaves the simulator as it was.
+
+    Attributes:
+        failed: the skill that failed, with its objects.
+        needs: what has to hold for it to be begun, as far as was given.
+        effects: what holds once it has succeeded.
+        true_atoms: the atoms of a state.
+    """
+
+    failed: GroundSkill
+    needs: Atoms
+    effects: Atoms
+    true_atoms: Callable[[State], Atoms]
+
+    def __call__(self, simulator: TrainingSimulator[Any, Any], begun: State) -> bool:
+        """Whether it succeeds from here, and would, were the robot where it began.
+
+        Only then is the failure mended, and not just passed by: what is learned of the objects has to hold wherever
+        the robot comes from.
+
+        Args:
+            begun: the state in which the robot set out.
+        """
+        before, state = simulator.save(), simulator.perceive()
+        succeeded = self._succeeds(simulator)
+        simulator.restore(before)
+        if succeeded:
+            robot = self.failed.objects[0]
+            there = dict(zip(robot.type.features, begun[robot].tolist(), strict=True))
+            # With something in its hand, or where it would stand in something, it cannot have begun there.
+            if simulator.reset(state.with_features(robot, **there)) and self.needs <= self.true_atoms(
+                simulator.perceive()
+            ):
+                succeeded = self._succeeds(simulator)
+            simulator.restore(before)
+        return succeeded
+
+    def _succeeds(self, simulator: TrainingSimulator[Any, Any]) -> bool:
+        run_skill(simulator, self.failed)
+        return self.effects <= self.true_atoms(simulator.perceive())
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where an episode may begin: a task, and a state of it."""
+
+    task: Task
+    state: State
+
+
+@dataclass(frozen=True)
+class Direct:
+    """The interface of a stage that declares none: sees all relations, and acts in the embodiment's own actions."""
+
+    view: Callable[[State], Float[np.ndarray, " d"]]
+    features: int
+    embodiment: Embodiment
+    approach: None = None
+    effort_limit: None = None
+
+    @property
+    def actions(self) -> int:
+        return len(self.embodiment.actions)
+
+    @property
+    def rate_hz(self) -> float:
+        return self.embodiment.rate_hz
+
+    def begin(self, objects: tuple[Object, ...], state: State, rng: np.random.Generator) -> None:
+        """It remembers nothing."""
+
+    def see(self, runs: Sequence[None], states: Sequence[State]) -> Float[np.ndarray, "n d"]:
+        return np.stack([self.view(state) for state in states])
+
+    def act(self, runs: Sequence[None], states: Sequence[State], actions: Float[np.ndarray, "n k"]) -> list[np.ndarray]:
+        limits = np.array(list(self.embodiment.actions.values()))
+        return list(limits.mean(1) + (limits[:, 1] - limits[:, 0]) / 2 * actions)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The recovery problem of one stage.
+
+    Attributes:
+        domain: whose relations tell how o^R lies beside each o^F.
+        starts: D^F, the states from which the skill fails.
+        judge: whether it succeeds now.
+        interface: how the recovery begins, sees and acts.
+    """
+
+    domain: Domain
+    embodiment: Embodiment
+    stage: Stage
+    explanation: Explanation
+    starts: tuple[Start, ...]
+    judge: Judge
+    interface: RecoveryInterface
+
+    @property
+    def objects(self) -> tuple[Object, ...]:
+        """The robot, o^R and every o^F."""
+        return self.explanation.projected
+
+    def free(self, seed: int) -> Start | None:
+        """A state in which nothing obstructs anything, with everything in it that the recovery is about; None where the
+        domain knows of none."""
+        if self.domain.free is None:
+            return None
+        counts: dict[Type, int] = {}
+        for obj in self.objects[1:]:
+            counts[obj.type] = counts.get(obj.type, 0) + 1
+        task = self.domain.free(np.random.default_rng(seed), seed, counts)
+        return Start(task, task.initial) if set(self.objects) <= set(task.objects) else None
+
+    def between(self, failed: Start, free: Start, rng: np.random.Generator) -> Start:
+        """The state of a failure with o^R moved towards how it lies beside an o^F where nothing obstructs: by another
+        share in each column of their relation, and half of the time by small ones, for nobody knows how little it
+        takes."""
+        relevant = self.explanation.relevant
+        culprit = self.explanation.culprits[int(rng.integers(len(self.explanation.culprits)))]
+        near, far = (lies_beside(self.domain, start.state, culprit, relevant) for start in (failed, free))
+        if not len(near):
+            return failed
+        shares = rng.uniform(0, 1, len(near)) ** (3 if rng.random() < 0.5 else 1)
+        relative = near + shares * (far - near)
+        return Start(failed.task, place_beside(self.domain, failed.state, culprit, relevant, relative, rng))
+
+
+def judge_of(domain: Domain, model: Model, explanation: Explanation) -> Judge:
+    """Who says whether the failure is mended."""
+    operator = next(o for o in model.operators if o.name == explanation.skill)
+    given = next((o for o in domain.operators if o.name == explanation.skill), None)
+    return Judge(
+        model.skill(explanation.skill).ground(explanation.objects),
+        given.ground(explanation.objects).preconditions if given is not None else frozenset(),
+        operator.ground(explanation.objects).add,
+        model.abstraction.true_atoms,
+    )
+
+
+def pose_problem(
+    domain: Domain,
+    embodiment: Embodiment,
+    stage: Stage,
+    model: Model,
+    explanation: Explanation,
+    starts: Sequence[Start],
+) -> Problem:
+    """What is to be learned, from states from which the skill fails."""
+    judge = judge_of(domain, model, explanation)
+    view = RelationalView(explanation.projected, domain.relations)
+    interface = stage.interface or Direct(view, view.size, embodiment)
+    return Problem(domain, embodiment, stage, explanation, tuple(starts), judge, interface)

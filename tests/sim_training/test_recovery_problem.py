@@ -1,0 +1,69 @@
+"""The recovery problem of Cornered Insertion-S: states between failure and freedom, and nothing said of recovered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from resync_robot.arm_recovery import arm_problem
+
+from resync_robot.arm_embodiment import arm_stage
+from resync_robot.core.relations import seen
+from resync_robot.core.rig import load_rig
+from resync_robot.core.task import Domain
+from resync_robot.core.vocabulary import BLOCK
+from resync_robot.curriculum.stage_files import Mined
+from resync_robot.learning.failures import Culprit, PairGaussian
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.domains.cornered_insertion_s.corner import RELATIONS
+from resync_robot.sim_training.recovery_problem import Problem
+from tests.scenes import B0, THE_BOX, R
+
+DOMAIN = find_domain("cornered-insertion-s")
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    before = PairGaussian(np.array([0.0015, 0.0025, 1.0, 0.0]), np.diag([1e-7, 1e-7, 1e-4, 1e-4]))
+    mined = Mined(Culprit("Pick", THE_BOX, 1), B0, before, (1000, 1001, 1002), "s0")
+    return arm_problem(DOMAIN.spec, load_rig(), mined)
+
+
+def test_it_is_about_the_robot_the_block_and_the_box(problem: Problem) -> None:
+    assert problem.objects == (R, B0, THE_BOX)
+    assert str(problem.judge.failed) == "Pick(r, b0)" and {str(a) for a in problem.judge.effects} == {"Holding(r, b0)"}
+    for start in problem.starts:
+        assert seen(start.state, B0, THE_BOX, RELATIONS)[1] < 0.008
+
+
+def test_the_domain_says_of_its_stage_nothing_but_where_it_fails() -> None:
+    """Neither success nor reward: what recovered means, only Pick says."""
+    stage = DOMAIN.stages[0]
+    assert replace(arm_stage(DOMAIN, load_rig()), interface=None) == stage
+    assert {name for name in vars(stage) if name not in ("recovery", "scenario", "horizon", "interface")} == set()
+    assert not {name for name in vars(Domain) if name in ("success", "reward", "potential", "is_recovered")}
+
+
+def test_states_between_lie_between_and_most_of_them_near_the_failure(problem: Problem) -> None:
+    rng, gaps = np.random.default_rng(0), []
+    failed = problem.starts[0]
+    free = problem.free(4)
+    assert free is not None
+    least, most = (seen(s.state, B0, THE_BOX, RELATIONS)[:2] for s in (failed, free))
+    for _ in range(200):
+        start = problem.between(failed, free, rng)
+        gaps.append(seen(start.state, B0, THE_BOX, RELATIONS)[:2])
+        others = [o for o in start.state.objects if o != B0]
+        assert all((start.state[o] == failed.state[o]).all() for o in others) and start.task is failed.task
+    low, high = np.sort(np.stack([least, most]), axis=0)
+    assert (np.array(gaps).min(0) > low - 1e-6).all() and (np.array(gaps).max(0) < np.maximum(high, low) + 0.05).all()
+    shares = (np.array(gaps)[:, 1] - least[1]) / (most[1] - least[1])
+    assert 0.3 < (shares < 0.25).mean() < 0.8
+
+
+def test_free_states_have_every_object_of_the_problem(problem: Problem) -> None:
+    for seed in range(10):
+        start = problem.free(seed)
+        assert start is not None and set(problem.objects) <= set(start.state.objects)
+        assert len(start.state.of_type(BLOCK)) == 2
