@@ -1,0 +1,57 @@
+"""Icy Transport keeps the contract of domains; failures name ice and mud; cargo and target look alike to a learner."""
+
+import numpy as np
+import pytest
+
+from resync_robot.core.relations import features
+from resync_robot.planning.abstract import Abstraction
+from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute
+from resync_robot.sim_training.domain_checks import examine
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.domains.icy_transport import ICY_TRANSPORT
+from resync_robot.sim_training.domains.icy_transport.layouts import O1, TARGET
+from resync_robot.sim_training.domains.icy_transport.vocabulary import CAR, ICE, ITEM
+from resync_robot.sim_training.failure_mining import explain, mine_stage
+
+BODY = ICY_TRANSPORT.embodiment
+assert BODY is not None
+MODEL = Model(
+    {s.name: s for s in BODY.skills()},
+    Abstraction(ICY_TRANSPORT.predicates, ICY_TRANSPORT.classifiers),
+    ICY_TRANSPORT.operators,
+)
+
+
+def test_it_is_in_the_catalogue_and_keeps_the_contract() -> None:
+    assert find_domain("icy-transport") is ICY_TRANSPORT
+    found = list(examine(ICY_TRANSPORT, 3))
+    assert [f for f in found if f.status != "ok"] == []
+    detail = {f.name: f.detail for f in found}
+    assert detail["given model: 0"] == "fails in 3 of 3, on ice"
+    assert detail["given model: 6"] == "fails in 3 of 3, on mud"
+
+
+@pytest.mark.parametrize(("stage", "culprit"), [(0, "ice"), (1, "mud")])
+def test_failures_name_what_caught_the_car(stage: int, culprit: str) -> None:
+    found = explain(mine_stage(ICY_TRANSPORT, ICY_TRANSPORT.stages[stage], MODEL, 0, 5))
+    assert (found.skill, found.objects[found.argument]) == ("GoToPickObject", O1)
+    assert [o.name for o in found.projected] == ["robot", "o1", culprit]
+
+
+@pytest.mark.parametrize("name", [n for n, s in ICY_TRANSPORT.scenarios.items() if not s.training])
+def test_the_given_model_fails_in_every_other_scenario_too(name: str) -> None:
+    task = ICY_TRANSPORT.scenario(name).sample(np.random.default_rng(7), 7)
+    result = plan_and_execute(BODY.simulate(task), MODEL, task.goal, ExecuteSettings(max_failures=1))
+    assert not result.success and "is caught in" in result.reason
+
+
+def test_the_way_to_cargo_and_to_the_target_looks_the_same() -> None:
+    state = ICY_TRANSPORT.scenario("0").sample(np.random.default_rng(0), 0).initial
+    as_cargo, as_target = state[O1][None], np.array([[*state[O1][:4], *state[TARGET][4:]]])
+    ice, car = state[ICE("ice")][None], state[CAR("robot")][None]
+    for other, rows in ((ICE, ice), (CAR, car)):
+        seen = [features(ITEM, item, other, rows, ICY_TRANSPORT.relations) for item in (as_cargo, as_target)]
+        np.testing.assert_array_equal(*seen)
+    before = as_cargo.copy()
+    features(ITEM, as_target, ICE, ice, ICY_TRANSPORT.relations)
+    np.testing.assert_array_equal(as_cargo, before)
