@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from resync_robot.core.relations import features
+from resync_robot.core.relations import features, seen
 from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute
 from resync_robot.sim_training.domain_checks import examine
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.domains.icy_transport import ICY_TRANSPORT
-from resync_robot.sim_training.domains.icy_transport.layouts import O1, TARGET
+from resync_robot.sim_training.domains.icy_transport.layouts import O1, O2, TARGET
 from resync_robot.sim_training.domains.icy_transport.vocabulary import CAR, ICE, ITEM
 from resync_robot.sim_training.failure_mining import explain, mine_stage
 
@@ -43,6 +43,20 @@ def test_the_given_model_fails_in_every_other_scenario_too(name: str) -> None:
     task = ICY_TRANSPORT.scenario(name).sample(np.random.default_rng(7), 7)
     result = plan_and_execute(BODY.simulate(task), MODEL, task.goal, ExecuteSettings(max_failures=1))
     assert not result.success and "is caught in" in result.reason
+
+
+@pytest.mark.parametrize("guarded", [O1, TARGET])
+def test_a_region_can_be_put_before_the_door_of_another(guarded) -> None:  # type: ignore[no-untyped-def]
+    """As dreams do it, by what was seen of the failure."""
+    rng, ice = np.random.default_rng(0), ICE("ice")
+    state = ICY_TRANSPORT.scenario("1").sample(rng, 0).initial
+    relative = seen(state, ice, O2, ICY_TRANSPORT.relations)
+    task = ICY_TRANSPORT.free(rng, 0, {ICE: 1}) if ICY_TRANSPORT.free else None
+    assert task is not None
+    dreamed = ICY_TRANSPORT.relocate(task, ice, guarded, relative, rng).initial
+    np.testing.assert_allclose(seen(dreamed, ice, guarded, ICY_TRANSPORT.relations), relative, atol=1e-9)
+    assert np.linalg.norm(dreamed[ice][:2] - dreamed[guarded][:2]) == pytest.approx(2.1)
+    assert BODY.simulate(task).reset(dreamed)
 
 
 def test_the_way_to_cargo_and_to_the_target_looks_the_same() -> None:
