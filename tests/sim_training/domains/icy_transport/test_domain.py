@@ -10,7 +10,7 @@ from resync_robot.sim_training.domain_checks import examine
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.domains.icy_transport import ICY_TRANSPORT
 from resync_robot.sim_training.domains.icy_transport.layouts import O1, O2, TARGET
-from resync_robot.sim_training.domains.icy_transport.vocabulary import CAR, ICE, ITEM
+from resync_robot.sim_training.domains.icy_transport.vocabulary import CAR, ICE, ITEM, MUD
 from resync_robot.sim_training.failure_mining import explain, mine_stage
 
 BODY = ICY_TRANSPORT.embodiment
@@ -43,6 +43,13 @@ def test_the_given_model_fails_in_every_other_scenario_too(name: str) -> None:
     task = ICY_TRANSPORT.scenario(name).sample(np.random.default_rng(7), 7)
     result = plan_and_execute(BODY.simulate(task), MODEL, task.goal, ExecuteSettings(max_failures=1))
     assert not result.success and "is caught in" in result.reason
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_is_in_the_way_where_tasks_are_free(seed: int) -> None:
+    assert ICY_TRANSPORT.free is not None
+    task = ICY_TRANSPORT.free(np.random.default_rng(seed), seed, {ICE: 4, MUD: 4})
+    assert plan_and_execute(BODY.simulate(task), MODEL, task.goal, ExecuteSettings(max_failures=1)).success
 
 
 @pytest.mark.parametrize("guarded", [O1, TARGET])

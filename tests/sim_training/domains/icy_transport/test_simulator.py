@@ -167,3 +167,15 @@ def test_a_state_is_put_back_as_it_was_wherever_it_came_from() -> None:
     driven(other, np.array([-1.0, 0.2, -0.5]), 30)
     for obj in state:
         np.testing.assert_allclose(other.perceive()[obj], ends[0][obj], atol=1e-9)
+
+
+def test_cargo_is_put_back_as_well() -> None:
+    floor = Floor(task(x=3.9, forward=0.5))
+    kept, before = floor.save(), floor.perceive()
+    driven(floor, AHEAD, 10)
+    loaded, after = floor.save(), floor.perceive()
+    assert after.get(O1, "carried")[0] == 1.0
+    for snapshot, state in ((kept, before), (loaded, after), (kept, before)):
+        floor.restore(snapshot)
+        assert floor.perceive() == state
+        driven(floor, AHEAD, 5)
