@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,10 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
+from resync_robot.core import relations
 from resync_robot.core.embodiment import Embodiment, Stage
 from resync_robot.core.errors import TrainingError
-from resync_robot.core.symbols import Type
+from resync_robot.core.symbols import Object, Term
 from resync_robot.core.task import Domain
 from resync_robot.learning.learned_recovery import LearnedRecovery
 from resync_robot.learning.recovery_policy import ActorCritic
@@ -38,6 +40,8 @@ class RecoverySettings:
             scenes=32, total_steps=400_000, least_steps=20_000, stop_at=0.95, minibatch=256, anneal_steps=80_000
         )
     )
+    elsewhere: int = 60
+    """The same, for each other object that the failed skill can be applied to: a recovery is planned for these, too."""
     judged: JudgedSettings = field(default_factory=JudgedSettings)
     width: int = 128
     depth: int = 2
@@ -64,6 +68,11 @@ class Problem:
     judge: Judge
     view: RelationalView
 
+    @property
+    def about(self) -> Object:
+        """o^R."""
+        return self.explanation.objects[self.explanation.argument]
+
 
 def pose_problem(
     domain: Domain, stage: Stage, model: Model, explanation: Explanation, failures: Sequence[FailedAttempt]
@@ -86,11 +95,55 @@ def free_starts(domain: Domain, problem: Problem, first_seed: int, count: int) -
     """States in which nothing obstructs anything, and everything is there that the recovery is about."""
     if domain.free is None:
         return []
-    counts: dict[Type, int] = {}
-    for obj in problem.view.objects[1:]:
-        counts[obj.type] = counts.get(obj.type, 0) + 1
+    # One more of what the failure is about: the recovery may be applied to that one instead.
+    counts = Counter([o.type for o in problem.view.objects[1:]] + [problem.about.type])
     tasks = [domain.free(np.random.default_rng(s), s, counts) for s in range(first_seed, first_seed + count)]
     return [Start(t, t.initial) for t in tasks if set(problem.view.objects) <= set(t.objects)]
+
+
+def applied_elsewhere(domain: Domain, problem: Problem, seed: int) -> list[Problem]:
+    """The same problem about each other object of the type, as free tasks have them."""
+    taken = {*problem.explanation.objects, *problem.explanation.culprits}
+    objects = {o for start in free_starts(domain, problem, seed, 1) for o in start.task.objects}
+    others = sorted(o for o in objects - taken if o.type == problem.about.type)
+    return [_about(problem, other) for other in others]
+
+
+def attempts_elsewhere(
+    domain: Domain, other: Problem, problem: Problem, first_seed: int, count: int
+) -> Iterator[tuple[Float[np.ndarray, "n d"], Bool[np.ndarray, "n"]]]:
+    """Attempts of a problem about another object: where nothing obstructs, and where what was run into lies beside it
+    as it lay in the failures. Nothing, if the skill cannot be applied to it anyway."""
+    rng = np.random.default_rng(first_seed)
+    free = free_starts(domain, other, first_seed, count)
+    if not free:
+        return
+    features, succeeded = try_from(other.embodiment, free, other.judge, other.view)
+    if not succeeded.any():
+        return
+    yield features, succeeded
+    obstructed = []
+    for task in (start.task for start in free):
+        state = problem.starts[int(rng.integers(len(problem.starts)))].state
+        for culprit in problem.explanation.culprits:
+            lay = relations.seen(state, culprit, problem.about, domain.relations)
+            task = domain.relocate(task, culprit, other.about, lay, rng)
+        if other.embodiment.simulate(task).reset(task.initial):
+            obstructed.append(Start(task, task.initial))
+    if obstructed:
+        yield try_from(other.embodiment, obstructed, other.judge, other.view)
+
+
+def _about(problem: Problem, other: Object) -> Problem:
+    """The same problem about another object."""
+    binding: dict[Term, Term] = {problem.about: other}
+    objects = tuple(other if o == problem.about else o for o in problem.explanation.objects)
+    explanation = replace(problem.explanation, objects=objects)
+    effects = frozenset(a.substitute(binding) for a in problem.judge.effects)
+    judge = replace(problem.judge, failed=problem.judge.failed.skill.ground(objects), effects=effects)
+    return replace(
+        problem, explanation=explanation, judge=judge, view=replace(problem.view, objects=explanation.projected)
+    )
 
 
 def learn_recovery(
@@ -116,6 +169,9 @@ def learn_recovery(
     features, succeeded = try_from(problem.embodiment, tried, problem.judge, problem.view)
     model = SuccessModel(problem.view.size, seed)
     model.add(features, succeeded)
+    for other in applied_elsewhere(domain, problem, first):
+        for more in attempts_elsewhere(domain, other, problem, first, s.elsewhere // 2):
+            model.add(*more)
     if model.has_both:
         model.fit()
     opened: list[RecoveryEnv] = []

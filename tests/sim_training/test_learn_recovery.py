@@ -14,8 +14,15 @@ from resync_robot.learning.relational_view import RelationalView
 from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.execute import Model, run_skill
 from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.domains.icy_transport import ICY_TRANSPORT
 from resync_robot.sim_training.failure_mining import FailedAttempt, explain, mine_stage
-from resync_robot.sim_training.learn_recovery import RecoverySettings, learn_recovery, pose_problem
+from resync_robot.sim_training.learn_recovery import (
+    RecoverySettings,
+    applied_elsewhere,
+    attempts_elsewhere,
+    learn_recovery,
+    pose_problem,
+)
 from resync_robot.sim_training.ppo import PpoSettings
 
 PUCKS = Path(__file__).parents[2] / "docs" / "puck_behind_a_door.py"
@@ -76,6 +83,34 @@ def test_the_view_is_of_the_objects_and_of_nothing_else(domain: Domain, failures
         x, y = state.get(obj, "x", "y")
         everything_moved = everything_moved.with_features(obj, x=x + 0.7, y=y - 0.2)
     np.testing.assert_allclose(view(everything_moved), view(state), atol=1e-9)
+
+
+def test_it_is_tried_with_other_objects_as_well(domain: Domain, model: Model, failures: list[FailedAttempt]) -> None:
+    """What was run into is put beside another puck as it lay beside the first, and the skill applied to that one."""
+    problem = pose_problem(domain, domain.stages[0], model, explain(failures), failures)
+    (other,) = applied_elsewhere(domain, problem, 0)
+    assert [o.name for o in other.view.objects] == ["r", "p1", "door"]
+    assert str(other.judge.failed) == "Fetch(r, p1)" and {str(a) for a in other.judge.effects} == {"Holding(r, p1)"}
+    (free, fetched), (shut, blocked) = attempts_elsewhere(domain, other, problem, 0, 4)
+    assert list(fetched) == [True] * 4
+    # Not every room that this takes can be.
+    assert 1 <= len(blocked) <= 4 and not blocked.any()
+    assert free.shape[1] == shut.shape[1] == problem.view.size
+
+
+def test_what_the_skill_cannot_be_applied_to_says_nothing() -> None:
+    """The target of Icy Transport is of the same type as its cargo, and can never be picked up."""
+    body = ICY_TRANSPORT.embodiment
+    assert body is not None
+    skills = {s.name: s for s in body.skills()}
+    abstraction = Abstraction(ICY_TRANSPORT.predicates, ICY_TRANSPORT.classifiers)
+    model = Model(skills, abstraction, ICY_TRANSPORT.operators)
+    failures = mine_stage(ICY_TRANSPORT, ICY_TRANSPORT.stages[0], model, 0, 4)
+    problem = pose_problem(ICY_TRANSPORT, ICY_TRANSPORT.stages[0], model, explain(failures), failures)
+    cargo, target = applied_elsewhere(ICY_TRANSPORT, problem, 0)
+    assert [p.about.name for p in (cargo, target)] == ["o2", "target"]
+    assert [list(y) for _, y in attempts_elsewhere(ICY_TRANSPORT, cargo, problem, 0, 2)] == [[True] * 2, [False] * 2]
+    assert list(attempts_elsewhere(ICY_TRANSPORT, target, problem, 0, 2)) == []
 
 
 def test_a_recovery_is_learned_that_opens_the_door(
