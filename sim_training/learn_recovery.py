@@ -170,8 +170,9 @@ def learn_recovery(
     model = SuccessModel(problem.view.size, seed)
     model.add(features, succeeded)
     for other in applied_elsewhere(domain, problem, first):
-        for more in attempts_elsewhere(domain, other, problem, first, s.elsewhere // 2):
-            model.add(*more)
+        for attempts in attempts_elsewhere(domain, other, problem, first, s.elsewhere // 2):
+            model.add(*attempts)
+    made = model.attempts
     if model.has_both:
         model.fit()
     opened: list[RecoveryEnv] = []
@@ -214,7 +215,7 @@ def learn_recovery(
     )
     figures = {
         "curve": curve,
-        "attempts": len(features),
+        "attempts": made,
         "verdicts": sum(env.judged for env in opened),
         "terminal_accuracy": round(accuracy, 4),
     }

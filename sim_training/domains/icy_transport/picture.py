@@ -45,7 +45,9 @@ def draw(state: State) -> UInt8[np.ndarray, "h w 3"]:
         _fill(image, _corners(x, y, theta, 2 * along, max(2 * across, THICKNESS)), _WALL)
     items = state.of_type(ITEM)
     for item in (o for o in items if is_fixed(state, o)):
-        _ring(image, *state[item][:2].tolist(), DELIVERED_WITHIN)
+        x, y = state[item][:2].tolist()
+        radius = round(DELIVERED_WITHIN * _SCALE * 2**_FINE)
+        cv2.circle(image, _pixel(x, y), radius, _TARGET, 2, cv2.LINE_AA, _FINE)
     for car in state.of_type(CAR):
         x, y, theta, length, width = state[car][:5].tolist()
         _fill(image, _corners(x, y, theta, length, width), _CAR)
@@ -57,10 +59,6 @@ def draw(state: State) -> UInt8[np.ndarray, "h w 3"]:
         cv2.circle(image, _pixel(x, y), round(diameter / 2 * _SCALE * 2**_FINE), _CARGO, -1, cv2.LINE_AA, _FINE)
         _name(image, item.name, x, y)
     return image
-
-
-def _ring(image: np.ndarray, x: float, y: float, radius: float) -> None:
-    cv2.circle(image, _pixel(x, y), round(radius * _SCALE * 2**_FINE), _TARGET, 2, cv2.LINE_AA, _FINE)
 
 
 def _fill(image: np.ndarray, corners: list[tuple[float, float]], colour: Any) -> None:
