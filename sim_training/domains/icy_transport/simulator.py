@@ -130,6 +130,7 @@ class Floor:
 
     def picture(self) -> np.ndarray:
         """(500, 500, 3) from above."""
+        # Learning takes no pictures, and needs no OpenCV.
         from resync_robot.sim_training.domains.icy_transport.picture import draw
 
         return draw(self.perceive())
