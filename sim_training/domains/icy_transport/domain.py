@@ -34,7 +34,11 @@ from resync_robot.sim_training.domains.icy_transport.vocabulary import (
 
 def _blind_to_targets(a: Type, b: Type) -> Relation:
     """The default, but what learns from it cannot tell cargo from a target: the way to either is the same."""
-    return replace(between(a, b), features=lambda x, y: features(a, _as_cargo(a, x), b, _as_cargo(b, y)))
+    return replace(between(a, b), features=partial(_look, a, b))
+
+
+def _look(a: Type, b: Type, rows: Rows, others: Rows) -> Rows:
+    return features(a, _as_cargo(a, rows), b, _as_cargo(b, others))
 
 
 def _as_cargo(kind: Type, rows: Rows) -> Rows:
@@ -95,5 +99,6 @@ ICY_TRANSPORT = Domain(
         Stage(recovery="MuddyDrive", scenario="6", horizon=30),
     ),
     free=free,
+    instruction="Drive through the ice or mud that lies before the doorway.",
     relations={pair: _blind_to_targets(*pair) for pair in ((CAR, ITEM), (ITEM, ICE), (ITEM, MUD), (ITEM, ITEM))},
 )
