@@ -33,7 +33,7 @@ from resync_robot.sim_training.domains.icy_transport.vocabulary import (
 RATE_HZ = 1 / STEP
 _TO_PLACE, _BRAKE, _TO_HEADING, _TURN_BRAKE = 100.0, 20.0, 50.0, 10.0
 """Gains: 1/s^2 and 1/s, along and about."""
-_AT, _FACING = 0.05, 0.05
+_AT, _FACING = 0.03, 0.02
 """m and rad from where a leg shall end."""
 _PATIENCE = 150
 """Actions after which a leg is given up, and the next one begins."""
