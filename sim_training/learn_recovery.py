@@ -19,6 +19,7 @@ from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
 from resync_robot.learning.terminals import Terminal, train_terminal
 from resync_robot.sim_training.ppo import PpoSettings, Progress, train_policy
+from resync_robot.sim_training.recovery_elsewhere import tried_elsewhere
 from resync_robot.sim_training.recovery_env import JudgedSettings, RecoveryEnv, Tried
 from resync_robot.sim_training.recovery_problem import Problem
 from resync_robot.sim_training.shared_env import SharedEnv
@@ -39,6 +40,8 @@ class RecoverySettings:
     judged: JudgedSettings = field(default_factory=JudgedSettings)
     width: int = 128
     depth: int = 2
+    elsewhere: int = 60
+    """The same, for each other object that the failed skill can be applied to: a recovery is planned for these, too."""
     roll_outs: int = 80
     """Of the finished policy, from which the terminal function is learned."""
 
@@ -98,8 +101,11 @@ def learn_recovery(
         nonlocal judged
         with _opened(problem, model, seed + done, s, workers, pose) as env:
             # What the model learned before a run was cut off it learns anew.
+            others = tried_elsewhere(problem, seed, s.elsewhere)
+            if others:
+                model.add(np.stack([run.features for run in others]), np.array([run.succeeded for run in others]))
             env.attempt(s.attempts)
-            first.extend(env.learn())
+            first.extend([*others, *env.learn()])
             env.reset(torch.arange(s.ppo.scenes))
             yield env
             # In the scenes that are open anyway.

@@ -29,15 +29,18 @@ class Judge:
         needs: what has to hold for it to be begun, as far as was given.
         effects: what holds once it has succeeded.
         true_atoms: the atoms of a state.
+        wherever: it has to succeed from where the robot set out, too. To be asked for where there are scenes in which
+            it does: those in which nothing obstructs.
     """
 
     failed: GroundSkill
     needs: Atoms
     effects: Atoms
     true_atoms: Callable[[State], Atoms]
+    wherever: bool = False
 
     def __call__(self, simulator: TrainingSimulator[Any, Any], begun: State) -> bool:
-        """Whether it succeeds from here, and would, were the robot where it began.
+        """Whether it succeeds from here, and, where that is asked for, would, were the robot where it set out.
 
         Only then is the failure mended, and not just passed by: what is learned of the objects has to hold wherever
         the robot comes from.
@@ -48,7 +51,7 @@ class Judge:
         before, state = simulator.save(), simulator.perceive()
         succeeded = self._succeeds(simulator)
         simulator.restore(before)
-        if succeeded:
+        if succeeded and self.wherever:
             robot = self.failed.objects[0]
             there = dict(zip(robot.type.features, begun[robot].tolist(), strict=True))
             # With something in its hand, or where it would stand in something, it cannot have begun there.
@@ -76,7 +79,7 @@ class Start:
 class Direct:
     """The interface of a stage that declares none: sees all relations, and acts in the embodiment's own actions."""
 
-    view: Callable[[State], Float[np.ndarray, " d"]]
+    view: RelationalView
     features: int
     embodiment: Embodiment
     approach: None = None
@@ -159,6 +162,7 @@ def judge_of(domain: Domain, model: Model, explanation: Explanation) -> Judge:
         given.ground(explanation.objects).preconditions if given is not None else frozenset(),
         operator.ground(explanation.objects).add,
         model.abstraction.true_atoms,
+        wherever=domain.free is not None,
     )
 
 

@@ -29,6 +29,8 @@ RECOVERY = RecoverySettings(
     ppo=PpoSettings(
         scenes=32, total_steps=400_000, least_steps=30_000, stop_at=0.95, minibatch=256, anneal_steps=80_000
     ),
+    # All blocks look alike to it.
+    elsewhere=0,
     roll_outs=60,
     width=256,
     depth=4,

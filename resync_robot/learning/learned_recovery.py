@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from resync_robot.core.damage import Shape, check_shape
 from resync_robot.core.embodiment import Embodiment
@@ -127,11 +128,11 @@ class _Run:
         self._begun, self._approaching, self._steps = False, True, 0
 
     def step(self, observation: Observation) -> Any:
-        seen = torch.as_tensor(self._view(observation.state), dtype=torch.float32)[None]
-        if not self._begun or not self._approaching:
+        if not self._begun:
             self._begun = True
-            if float(self._recovery.done.probability(seen)) > SURE:
+            if self._is_done(self._see(observation)):
                 return SkillOutcome(SkillEnd.DONE)
+        # What it looks like is dear to tell, and the failed skill, which may take thousands of actions, need not know.
         if self._approaching:
             answer = self._failed.step(observation)
             self._longest -= 1
@@ -141,9 +142,19 @@ class _Run:
             if isinstance(answer, SkillOutcome) and answer.done:
                 return SkillOutcome(SkillEnd.REFUSED, f"{self._recovery.failed_skill} does not fail here")
             self._approaching = False
+        seen = self._see(observation)
+        if self._steps and self._is_done(seen):
+            return SkillOutcome(SkillEnd.DONE)
         if self._steps >= self._recovery.horizon:
             return SkillOutcome(SkillEnd.TIMEOUT, f"not done after {self._steps} actions")
         self._steps += 1
         with torch.no_grad():
             action = self._recovery.policy.act(seen)[0].clamp(-1, 1).double().numpy()
         return self._middle + self._half * action
+
+    def _see(self, observation: Observation) -> Tensor:
+        """(1, d)"""
+        return torch.as_tensor(self._view(observation.state), dtype=torch.float32)[None]
+
+    def _is_done(self, seen: Tensor) -> bool:
+        return float(self._recovery.done.probability(seen)) > SURE

@@ -10,10 +10,11 @@ from resync_robot.core.errors import ConfigError
 from resync_robot.core.task import Domain, Task
 from resync_robot.sim_training.domains.cornered_insertion_s.domain import CORNERED_INSERTION_S
 from resync_robot.sim_training.domains.finding import load_domain
+from resync_robot.sim_training.domains.icy_transport import ICY_TRANSPORT
 from resync_robot.sim_training.physics.lights import HARD, draw_lighting
 from resync_robot.sim_training.physics.solver import SHIPPED, Solver, with_solver
 
-DOMAINS: dict[str, Domain] = {CORNERED_INSERTION_S.name: CORNERED_INSERTION_S}
+DOMAINS: dict[str, Domain] = {d.name: d for d in (CORNERED_INSERTION_S, ICY_TRANSPORT)}
 
 
 def find_domain(spec: str) -> Domain:

@@ -96,13 +96,13 @@ def see(state: State) -> np.ndarray:
     return np.array([state[S][0] - state[END][0], state[S][0] - state[P][0]])
 
 
-JUDGE = Judge(GRIP_SKILL.ground((P, S)), frozenset({HELD(S)}), true_atoms)
+JUDGE = Judge(GRIP_SKILL.ground((P, S)), frozenset(), frozenset({HELD(S)}), true_atoms)
 
 
 def problem(starts: Sequence[Start]) -> Problem:
     """To bring the slider to where it can be gripped, in 20 actions."""
     domain = Domain("rail", (PUSHER, SLIDER, STOP), (HELD,), {}, (), {}, (STAGE,), EMBODIMENT)
-    explanation = Explanation("Grip", (P, S), 1, (END,))
+    explanation = Explanation("Grip", (P, S), S, (END,))
     return Problem(domain, EMBODIMENT, STAGE, explanation, tuple(starts), JUDGE, Direct(see, 2, EMBODIMENT))
 
 
@@ -112,4 +112,6 @@ STAGE = Stage(recovery="Slide", scenario="rail", horizon=20)
 def attempts(starts: Sequence[Start]) -> tuple[np.ndarray, np.ndarray]:
     """What a run of Grip from each start begins with, and whether it succeeds."""
     rails = [Rail(start.task) for start in starts]
-    return np.stack([see(rail.perceive()) for rail in rails]), np.array([JUDGE(rail) for rail in rails])  # type: ignore[arg-type]
+    return np.stack([see(rail.perceive()) for rail in rails]), np.array(
+        [JUDGE(rail, rail.perceive()) for rail in rails]  # type: ignore[arg-type]
+    )  # type: ignore[arg-type]

@@ -18,6 +18,7 @@ from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import FailedAttempt, explain, mine_stage
 from resync_robot.sim_training.learn_recovery import Learned, RecoverySettings, learn_recovery
 from resync_robot.sim_training.ppo import PpoSettings
+from resync_robot.sim_training.recovery_elsewhere import applied_elsewhere, tried_elsewhere
 from resync_robot.sim_training.recovery_problem import Problem, Start, pose_problem
 from tests.sim_training.sliding import S, problem, task_at
 
@@ -81,6 +82,35 @@ def test_the_view_is_of_the_objects_and_of_nothing_else(domain: Domain, failures
     np.testing.assert_allclose(view(everything_moved), view(state), atol=1e-9)
 
 
+def test_it_is_tried_with_other_objects_as_well(domain: Domain, model: Model, failures: list[FailedAttempt]) -> None:
+    """What was run into is put beside another puck as it lay beside the first, and the skill applied to that one."""
+    assert domain.embodiment is not None
+    starts = [Start(f.task, f.state) for f in failures]
+    posed = pose_problem(domain, domain.embodiment, domain.stages[0], model, explain(domain, failures), starts)
+    (other,) = applied_elsewhere(posed, 0)
+    assert [o.name for o in other.objects] == ["r", "p1", "door"]
+    assert str(other.judge.failed) == "Fetch(r, p1)" and {str(a) for a in other.judge.effects} == {"Holding(r, p1)"}
+    runs = tried_elsewhere(posed, 0, 8)
+    assert {run.features.shape for run in runs} == {(posed.interface.features,)}
+    assert [run.succeeded for run in runs[:4]] == [True] * 4
+    # Not every room that this takes can be.
+    assert 1 <= len(runs) - 4 <= 4 and not any(run.succeeded for run in runs[4:])
+
+
+def test_what_the_skill_cannot_be_applied_to_says_nothing() -> None:
+    """The target of Icy Transport is of the same type as its cargo, and can never be picked up."""
+    icy = find_domain("icy-transport")
+    body = icy.embodiment
+    assert body is not None
+    given = Model({s.name: s for s in body.skills()}, Abstraction(icy.predicates, icy.classifiers), icy.operators)
+    failed = mine_stage(icy, body, icy.stages[0], given, 0, 4)
+    starts = [Start(f.task, f.state) for f in failed]
+    posed = pose_problem(icy, body, icy.stages[0], given, explain(icy, failed), starts)
+    assert [p.explanation.relevant.name for p in applied_elsewhere(posed, 0)] == ["o2", "target"]
+    runs = tried_elsewhere(posed, 0, 4)
+    assert [run.succeeded for run in runs] == [True, True, False, False]
+
+
 def test_a_recovery_is_learned_that_opens_the_door(
     domain: Domain, model: Model, failures: list[FailedAttempt], tmp_path: Path
 ) -> None:
@@ -141,5 +171,5 @@ def _then_fetched(domain: Domain, judge, ground) -> int:  # type: ignore[no-unty
         task = scenario.sample(np.random.default_rng(seed), seed)
         simulator = domain.embodiment.simulate(task)
         simulator.reset(task.initial)
-        good += run_skill(simulator, ground).done and judge(simulator)
+        good += run_skill(simulator, ground).done and judge(simulator, task.initial)
     return good

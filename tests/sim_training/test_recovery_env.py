@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from resync_robot.sim_training.ppo import PpoSettings, train_policy
 from resync_robot.sim_training.recovery_env import AT_ONCE, LATELY, JudgedSettings, RecoveryEnv
 from resync_robot.sim_training.recovery_problem import Start
 from resync_robot.sim_training.shared_env import SharedEnv
-from tests.sim_training.sliding import JUDGE, Rail, S, attempts, problem, see, task_at
+from tests.sim_training.sliding import GRIP, HELD, JUDGE, Rail, S, attempts, problem, see, task_at
 
 
 def failing(count: int, seed: int = 0) -> list[Start]:
@@ -42,8 +43,29 @@ def test_the_judge_runs_the_skill_and_leaves_everything_as_it_was() -> None:
     for slider, succeeds in ((0.2, False), (0.6, True), (0.9, False)):
         rail = Rail(task_at(0.0, slider))
         before = rail.save()
-        assert JUDGE(rail) == succeeds  # type: ignore[arg-type]
+        assert JUDGE(rail, rail.perceive()) == succeeds  # type: ignore[arg-type]
         np.testing.assert_array_equal(rail.save(), before)
+
+
+class _Near(Rail):
+    """The slider can be gripped only from nearby."""
+
+    def act(self, target: Any, duration: float) -> None:
+        if target is GRIP and self.x[1] - self.x[0] > 0.2:
+            return
+        super().act(target, duration)
+
+
+def test_a_failure_that_is_only_passed_by_is_not_mended() -> None:
+    """The skill would fail again, were the robot where it set out; unless it cannot have been there."""
+    strict, here, begun = replace(JUDGE, wherever=True), _Near(task_at(0.55, 0.6)), task_at(0.0, 0.6).initial
+    before = here.save()
+    assert JUDGE(here, begun) and not strict(here, begun)  # type: ignore[arg-type]
+    assert strict(here, task_at(0.5, 0.6).initial)  # type: ignore[arg-type]
+    # Beyond the slider no robot can stand, and without a slider in its hand this one cannot have begun.
+    assert strict(here, task_at(0.9, 0.6).initial)  # type: ignore[arg-type]
+    assert replace(strict, needs=frozenset({HELD(S)}))(here, begun)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(here.save(), before)
 
 
 def test_attempts_tell_the_model_where_the_skill_succeeds() -> None:
@@ -227,7 +249,7 @@ def test_ppo_learns_to_recover_by_the_verdict(shaping: float, while_exploring: f
             with torch.no_grad():
                 action = net.act(torch.as_tensor(see(rail.perceive()), dtype=torch.float32)[None])
             rail.act(0.1 * action.clamp(-1, 1).numpy()[0], 0.1)
-            if JUDGE(rail):  # type: ignore[arg-type]
+            if JUDGE(rail, rail.perceive()):  # type: ignore[arg-type]
                 recovered += 1
                 break
     assert recovered >= 18

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from resync_robot.arm_recovery import arm_problem
 
 from resync_robot.arm_embodiment import arm_stage
 from resync_robot.core.relations import seen
 from resync_robot.core.rig import load_rig
 from resync_robot.core.task import Domain
 from resync_robot.core.vocabulary import BLOCK
+from resync_robot.curriculum.arm_recovery import arm_problem
 from resync_robot.curriculum.stage_files import Mined
 from resync_robot.learning.failures import Culprit, PairGaussian
 from resync_robot.sim_training.domains import find_domain
