@@ -8,12 +8,13 @@ import numpy as np
 
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.task import Domain, Task
+from resync_robot.sim_training.domains.blocked_stacking import BLOCKED_STACKING
 from resync_robot.sim_training.domains.cornered_insertion_s import CORNERED_INSERTION_S
 from resync_robot.sim_training.domains.finding import load_domain
 from resync_robot.sim_training.lights import HARD, draw_lighting
 from resync_robot.sim_training.solver import SHIPPED, Solver, with_solver
 
-DOMAINS: dict[str, Domain] = {CORNERED_INSERTION_S.name: CORNERED_INSERTION_S}
+DOMAINS: dict[str, Domain] = {d.name: d for d in (CORNERED_INSERTION_S, BLOCKED_STACKING)}
 
 
 def find_domain(spec: str) -> Domain:

@@ -1,0 +1,119 @@
+"""The robot's shape: a round base, an arm that telescopes, and a hand with two fingers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from resync_robot.sim_training.domains.blocked_stacking.vocabulary import WORLD
+
+Point = tuple[float, float]
+Polygon = Sequence[Point]
+"""Corners of a convex one, anticlockwise."""
+
+BASE_RADIUS = 0.24
+PALM = (0.06, 0.32)
+"""Along the arm and across it, m."""
+BAR = (0.48, 0.06)
+BAR_BEHIND = 0.27
+"""m from the middle of the palm back to that of the bar that carries it."""
+FINGER = (0.20, 0.06)
+FINGER_AHEAD = 0.10
+HAND = PALM[0] / 2 + FINGER_AHEAD + FINGER[0] / 2
+"""Length of the hand from the back of its palm to its tips, m."""
+MIDDLE = HAND / 2 - PALM[0] / 2
+"""m from the middle of the palm to that of the hand."""
+ARM, GAP = (0.24, 0.48), (0.12, 0.32)
+"""Least and greatest distance from the base to the palm, and between the middles of the fingers, m."""
+
+LIMITS = {"dx": 0.05, "dy": 0.05, "dtheta": math.pi / 16, "darm": 0.1, "dgap": 0.02}
+"""Most that an action changes, m and rad."""
+
+
+@dataclass(slots=True)
+class Configuration:
+    """Where the base is, how the arm points (rad), how far out the palm is, and the gap between the fingers, m."""
+
+    x: float
+    y: float
+    theta: float
+    arm: float
+    gap: float
+
+    @staticmethod
+    def of(features: np.ndarray) -> Configuration:
+        """From the features of a robot in a state."""
+        x, y, theta, _, spread, reach = map(float, features)
+        gap, arm = spread - FINGER[1], reach - MIDDLE
+        return Configuration(x - reach * math.cos(theta), y - reach * math.sin(theta), theta, arm, gap)
+
+    def features(self) -> np.ndarray:
+        """(6,) as a state has them."""
+        x, y = self.at(self.arm + MIDDLE)
+        return np.array([x, y, self.theta, HAND, self.gap + FINGER[1], self.arm + MIDDLE])
+
+    def at(self, ahead: float, aside: float = 0.0) -> Point:
+        """The point so far ahead of the base along the arm, and aside to its left."""
+        cos, sin = math.cos(self.theta), math.sin(self.theta)
+        return self.x + ahead * cos - aside * sin, self.y + ahead * sin + aside * cos
+
+    def local(self, point: Point) -> Point:
+        """The inverse of `at`."""
+        cos, sin, dx, dy = math.cos(self.theta), math.sin(self.theta), point[0] - self.x, point[1] - self.y
+        return dx * cos + dy * sin, dy * cos - dx * sin
+
+    def moved(self, step: Sequence[float], share: float = 1.0) -> Configuration:
+        """A step onwards (dx, dy, dtheta, darm, dgap), within what the robot can."""
+        x, y, theta, arm, gap = (value + share * float(d) for value, d in zip(astuple(self), step, strict=True))
+        return Configuration(
+            _within(x, BASE_RADIUS, WORLD[0] - BASE_RADIUS),
+            _within(y, BASE_RADIUS, WORLD[1] - BASE_RADIUS),
+            (theta + math.pi) % (2 * math.pi) - math.pi,
+            _within(arm, *ARM),
+            _within(gap, *GAP),
+        )
+
+    def parts(self) -> tuple[Polygon, ...]:
+        """Its outline: base (a polygon around it), bar, palm, left and right finger."""
+        round_base = [(self.x + BASE_RADIUS * math.cos(a), self.y + BASE_RADIUS * math.sin(a)) for a in _AROUND]
+        across = self.gap / 2
+        return (
+            round_base,
+            box(*self.at(self.arm - BAR_BEHIND), self.theta, *BAR),
+            box(*self.at(self.arm), self.theta, *PALM),
+            box(*self.at(self.arm + FINGER_AHEAD, across), self.theta, *FINGER),
+            box(*self.at(self.arm + FINGER_AHEAD, -across), self.theta, *FINGER),
+        )
+
+
+_AROUND = [2 * math.pi * i / 16 for i in range(16)]
+
+
+def box(x: float, y: float, theta: float, width: float, height: float) -> list[Point]:
+    """The corners of a rectangle."""
+    cos, sin, w, h = math.cos(theta), math.sin(theta), width / 2, height / 2
+    corners = ((-w, -h), (w, -h), (w, h), (-w, h))
+    return [(x + a * cos - b * sin, y + a * sin + b * cos) for a, b in corners]
+
+
+def overlap(a: Polygon, b: Polygon) -> float:
+    """By how much two convex polygons overlap along the direction in which they do least, m; 0 or less: not at all."""
+    least = math.inf
+    for polygon in (a, b):
+        x0, y0 = polygon[-1]
+        for x1, y1 in polygon:
+            nx, ny = y1 - y0, x0 - x1
+            length = math.hypot(nx, ny)
+            nx, ny, x0, y0 = nx / length, ny / length, x1, y1
+            along_a, along_b = [nx * x + ny * y for x, y in a], [nx * x + ny * y for x, y in b]
+            least = min(least, max(along_a) - min(along_b), max(along_b) - min(along_a))
+            if least <= 0:
+                return least
+    return least
+
+
+def _within(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
