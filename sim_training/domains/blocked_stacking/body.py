@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -67,13 +67,13 @@ class Configuration:
 
     def moved(self, step: Sequence[float], share: float = 1.0) -> Configuration:
         """A step onwards (dx, dy, dtheta, darm, dgap), within what the robot can."""
-        x, y, theta, arm, gap = (value + share * float(d) for value, d in zip(astuple(self), step, strict=True))
+        dx, dy, dtheta, darm, dgap = step
         return Configuration(
-            _within(x, BASE_RADIUS, WORLD[0] - BASE_RADIUS),
-            _within(y, BASE_RADIUS, WORLD[1] - BASE_RADIUS),
-            (theta + math.pi) % (2 * math.pi) - math.pi,
-            _within(arm, *ARM),
-            _within(gap, *GAP),
+            min(max(self.x + share * dx, BASE_RADIUS), WORLD[0] - BASE_RADIUS),
+            min(max(self.y + share * dy, BASE_RADIUS), WORLD[1] - BASE_RADIUS),
+            (self.theta + share * dtheta + math.pi) % (2 * math.pi) - math.pi,
+            min(max(self.arm + share * darm, ARM[0]), ARM[1]),
+            min(max(self.gap + share * dgap, GAP[0]), GAP[1]),
         )
 
     def parts(self) -> tuple[Polygon, ...]:
@@ -101,6 +101,10 @@ def box(x: float, y: float, theta: float, width: float, height: float) -> list[P
 
 def overlap(a: Polygon, b: Polygon) -> float:
     """By how much two convex polygons overlap along the direction in which they do least, m; 0 or less: not at all."""
+    for axis in (0, 1):
+        of_a, of_b = [p[axis] for p in a], [p[axis] for p in b]
+        if max(of_a) <= min(of_b) or max(of_b) <= min(of_a):
+            return 0.0
     least = math.inf
     for polygon in (a, b):
         x0, y0 = polygon[-1]
@@ -113,7 +117,3 @@ def overlap(a: Polygon, b: Polygon) -> float:
             if least <= 0:
                 return least
     return least
-
-
-def _within(value: float, low: float, high: float) -> float:
-    return min(max(value, low), high)

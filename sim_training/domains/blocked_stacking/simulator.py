@@ -1,20 +1,17 @@
-"""The physics of Blocked Stacking, by pymunk: a robot that moves as it is told, among things that it pushes.
+"""The simulator of Blocked Stacking: what moves, what is held, and which scenes can be.
 
-What cannot give way pushes the robot back, so that it slides along and never squeezes anything. A space lives for one
-action only and takes nothing over from the last one but places and velocities: the same actions from the same
-snapshot lead to exactly the same state. An action with which nothing can touch anything needs no space at all.
+An action with which nothing can touch anything is only arithmetic; all others are `physics`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
-import pymunk
 
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
@@ -22,6 +19,7 @@ from resync_robot.core.task import Task
 from resync_robot.core.world import Observation
 from resync_robot.sim_training.domains.blocked_stacking import body as robot_body
 from resync_robot.sim_training.domains.blocked_stacking.body import FINGER, GAP, LIMITS, Configuration, box, overlap
+from resync_robot.sim_training.domains.blocked_stacking.physics import Action, Moving, Thing
 from resync_robot.sim_training.domains.blocked_stacking.picture import draw
 from resync_robot.sim_training.domains.blocked_stacking.vocabulary import (
     BENCH,
@@ -34,18 +32,12 @@ from resync_robot.sim_training.domains.blocked_stacking.vocabulary import (
     WORLD,
 )
 
-STEPS = 12
-"""Of physics, for an action."""
-GRAVITY = 9.8
-GIVE = 0.002
-"""m that the robot may be pressed into something."""
 OVERLAP = 0.006
 """m that things may overlap in a state that can be: a little more than what contacts leave behind."""
 STAYS = 0.01
 """m and rad that something may move by itself in a scene that stands."""
-AT_REST = 0.01
-"""m/s and rad/s below which a thing comes to rest."""
-ROBOT_PART, THING, FIXED = 1, 2, 3
+TOUCH = 0.002
+"""m from a block's side at which a finger touches it."""
 GRASP_TILT, GRASP_DEPTH, GRASP_OFF = 0.15, 0.04, 0.1
 """A block can be grasped that is so square to the hand, rad, so deep between its fingers, and so near its middle, m."""
 
@@ -59,18 +51,6 @@ class Felt(Observation):
     """
 
     run_into: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Moving:
-    """Where a thing is, and how it moves: m, rad, m/s, rad/s."""
-
-    x: float
-    y: float
-    theta: float
-    vx: float = 0.0
-    vy: float = 0.0
-    omega: float = 0.0
 
 
 class Bench:
@@ -87,7 +67,9 @@ class Bench:
         self._given, self.time, self._touched = state, 0.0, {}
         self._size = {o: tuple(map(float, state[o][3:5])) for o in state if o != self._robot}
         self._at = Configuration.of(state[self._robot])
-        self._things = {o: Moving(*map(float, state[o][:3])) for o in state if o.type in (BLOCK, CRATE)}
+        self._places = {o: Moving(*map(float, state[o][:3])) for o in state if o.type in (BLOCK, CRATE)}
+        friction = self._physics["friction"]
+        self._things = {o: Thing(*self._size[o], self._physics[f"{o.type.name}_mass"], friction) for o in self._places}
         self._fixed = {o: box(*map(float, state[o][:5])) for o in state if o.type in (SLAB, WALL)}
         self._held: Object | None = None
         self._grip = (0.0, 0.0, 0.0)
@@ -100,11 +82,11 @@ class Bench:
         return self._apart() and self._stands()
 
     def save(self) -> Any:
-        return self.time, replace(self._at), dict(self._things), self._held, self._grip, self._resting, self._touched
+        return self.time, replace(self._at), dict(self._places), self._held, self._grip, self._resting, self._touched
 
     def restore(self, snapshot: Any) -> None:
-        self.time, at, things, self._held, self._grip, self._resting, touched = snapshot
-        self._at, self._things, self._touched = replace(at), dict(things), dict(touched)
+        self.time, at, places, self._held, self._grip, self._resting, touched = snapshot
+        self._at, self._places, self._touched = replace(at), dict(places), dict(touched)
 
     def observe(self, live: bool = False) -> Felt:
         return Felt(time=self.time, state=self.perceive(), run_into=bool(self._touched))
@@ -112,7 +94,7 @@ class Bench:
     def perceive(self) -> State:
         features = {o: self._given[o] for o in self._given}
         features[self._robot] = self._at.features()
-        for obj, thing in self._things.items():
+        for obj, thing in self._places.items():
             place = (thing.x, thing.y, _upright(thing.theta) if obj.type == BLOCK else thing.theta)
             rest = self._size[obj] if obj.type == CRATE else (*self._size[obj], float(obj == self._held))
             features[obj] = np.array([*place, *rest])
@@ -134,11 +116,23 @@ class Bench:
         if self._resting and not self._may_touch():
             self._at = self._at.moved(step)
         else:
-            _Episode(self, step, duration).run()
+            self._do(step, duration)
         if self._held is not None:
             self._carry()
             if opens:
                 self._held, self._resting = None, False
+
+    def _do(self, step: Sequence[float], duration: float) -> None:
+        held = self._held
+        free = {o: place for o, place in self._places.items() if o != held}
+        carried = None if held is None else box(*self._grip, *self._size[held])
+        grip = self._physics["grip"] / self._physics["friction"]
+        action = Action(self._at, free, self._things, self._fixed, grip, carried)
+        action.run(step, duration)
+        self._at = action.at
+        self._places.update(action.places)
+        self._touched = {o: 1.0 for o in action.touched if o.type in OBSTRUCTIONS}
+        self._resting = all(place.rests for o, place in self._places.items() if o != held)
 
     def picture(self) -> np.ndarray:
         """(320, 720, 3) the scene from the side."""
@@ -155,16 +149,16 @@ class Bench:
 
     def _holds(self, obj: Object, gap: float) -> bool:
         """Do fingers with that gap hold the block?"""
-        thing, (width, height) = self._things[obj], self._size[obj]
+        thing, (width, height) = self._places[obj], self._size[obj]
         ahead, aside = self._at.local((thing.x, thing.y))
         # What the palm has before it.
         between = self._at.arm + robot_body.FINGER_AHEAD + FINGER[0] / 2 - (ahead - height / 2)
         square = abs(_upright(self._at.theta - thing.theta)) < GRASP_TILT
-        touched = (gap - FINGER[1]) / 2 < abs(aside) + width / 2 + GIVE
+        touched = (gap - FINGER[1]) / 2 < abs(aside) + width / 2 + TOUCH
         return square and touched and between > GRASP_DEPTH and ahead > self._at.arm and abs(aside) < GRASP_OFF
 
     def _hold(self, obj: Object) -> None:
-        thing, width = self._things[obj], self._size[obj][0]
+        thing, width = self._places[obj], self._size[obj][0]
         self._held, self._grip = obj, (*self._at.local((thing.x, thing.y)), thing.theta - self._at.theta)
         self._grip = (self._grip[0] - self._at.arm, *self._grip[1:])
         self._at.gap = min(max(2 * abs(self._grip[1]) + width + FINGER[1], GAP[0]), self._at.gap)
@@ -172,13 +166,13 @@ class Bench:
     def _carry(self) -> None:
         ahead, aside, turned = self._grip
         place = self._at.at(self._at.arm + ahead, aside)
-        self._things[self._held] = Moving(*place, self._at.theta + turned)
+        self._places[self._held] = Moving(*place, self._at.theta + turned)
 
     # -- scenes -------------------------------------------------------------------------------------------------------
 
     def _apart(self) -> bool:
         """Nothing overlaps that cannot, and nothing lies beyond the walls or in the bench."""
-        shapes = {o: box(t.x, t.y, t.theta, *self._size[o]) for o, t in self._things.items()} | self._fixed
+        shapes = {o: box(t.x, t.y, t.theta, *self._size[o]) for o, t in self._places.items()} | self._fixed
         inside = all(-OVERLAP <= x <= WORLD[0] + OVERLAP for p in shapes.values() for x, _ in p)
         above = all(y > BENCH - OVERLAP for o in self._things for _, y in shapes[o])
         parts = self._at.parts()
@@ -189,15 +183,15 @@ class Bench:
 
     def _stands(self) -> bool:
         """Let everything come to rest; whether it was about where it rests."""
-        before = dict(self._things)
+        before = dict(self._places)
         for _ in range(5):
-            _Episode(self, (0.0,) * 5, 0.2).run()
+            self._do((0.0,) * 5, 0.2)
             if self._resting:
                 break
         self._touched = {}
         moved = [
             max(abs(a.x - b.x), abs(a.y - b.y), abs(a.theta - b.theta))
-            for a, b in zip(before.values(), self._things.values(), strict=True)
+            for a, b in zip(before.values(), self._places.values(), strict=True)
         ]
         return self._resting and max(moved, default=0.0) < STAYS
 
@@ -214,128 +208,14 @@ class Bench:
         for obj, (w, h) in self._size.items():
             if obj == self._held:
                 continue
-            if obj in self._things:
-                ox, oy = self._things[obj].x, self._things[obj].y
+            if obj in self._places:
+                ox, oy = self._places[obj].x, self._places[obj].y
             else:
                 ox, oy = map(float, self._given[obj][:2])
             along = min(max((ox - at.x) * dx + (oy - at.y) * dy, -0.2), ahead)
             if math.hypot(ox - at.x - along * dx, oy - at.y - along * dy) < reach + math.hypot(w, h) / 2:
                 return True
         return False
-
-
-class _Episode:
-    """One action of a world, with physics."""
-
-    def __init__(self, world: Bench, step: Any, duration: float) -> None:
-        self._world, self._step, self._dt = world, step, duration / STEPS
-        self._space = pymunk.Space()
-        self._space.gravity = 0.0, -GRAVITY
-        self._space.collision_slop = 5e-4
-        self._space.iterations = 15
-        self._named: dict[pymunk.Shape, Object] = {}
-        self._add_fixed()
-        self._bodies = {o: self._thing(o) for o in world._things if o != world._held}
-        self._robot = self._kinematic()
-        self._push = (0.0, 0.0)
-        for other, when in ((THING, "post_solve"), (FIXED, "pre_solve")):
-            self._space.on_collision(ROBOT_PART, other, **{when: self._touch})
-
-    def run(self) -> None:
-        world = self._world
-        for _ in range(STEPS):
-            now, self._push = world._at, (0.0, 0.0)
-            then = now.moved(self._step, 1 / STEPS)
-            self._drive(now, then)
-            self._space.step(self._dt)
-            if self._push != (0.0, 0.0):
-                then = then.moved((*self._push, 0.0, 0.0, 0.0))
-            world._at = then
-        still = True
-        for obj, body in self._bodies.items():
-            (x, y), (vx, vy), omega = body.position, body.velocity, body.angular_velocity
-            if max(abs(vx), abs(vy), abs(omega)) < AT_REST:
-                vx = vy = omega = 0.0
-            else:
-                still = False
-            world._things[obj] = Moving(x, y, body.angle, vx, vy, omega)
-        world._resting = still
-
-    def _touch(self, arbiter: pymunk.Arbiter, _space: Any, _data: Any) -> None:
-        """The robot touches something: note what, and how far that pushes it back."""
-        shape = arbiter.shapes[1]
-        obj = self._named.get(shape)
-        if obj is not None and obj.type in OBSTRUCTIONS:
-            self._world._touched[obj] = 1.0
-        if shape.collision_type == FIXED:
-            arbiter.process_collision = False
-        met = arbiter.contact_point_set
-        depth = -min((p.distance for p in met.points), default=0.0) - GIVE
-        nx, ny = met.normal
-        (px, py) = self._push
-        more = depth - (-px * nx - py * ny)
-        if more > 0:
-            self._push = px - nx * more, py - ny * more
-
-    def _add_fixed(self) -> None:
-        world, ground = self._world, self._space.static_body
-        width, height = WORLD
-        for obj, polygon in (
-            (None, [(-1, -1), (width + 1, -1), (width + 1, BENCH), (-1, BENCH)]),
-            (None, [(-1, 0), (0, 0), (0, height), (-1, height)]),
-            (None, [(width, 0), (width + 1, 0), (width + 1, height), (width, height)]),
-            *world._fixed.items(),
-        ):
-            shape = pymunk.Poly(ground, polygon)
-            shape.friction, shape.collision_type = 1.0, FIXED
-            self._space.add(shape)
-            if obj is not None:
-                self._named[shape] = obj
-
-    def _thing(self, obj: Object) -> pymunk.Body:
-        world, (w, h) = self._world, self._world._size[obj]
-        thing, mass = world._things[obj], world._physics[f"{obj.type.name}_mass"]
-        body = pymunk.Body(mass, pymunk.moment_for_box(mass, (w, h)))
-        body.position, body.angle = (thing.x, thing.y), thing.theta
-        body.velocity, body.angular_velocity = (thing.vx, thing.vy), thing.omega
-        shape = pymunk.Poly(body, box(0.0, 0.0, 0.0, w, h))
-        # Frictions multiply.
-        shape.friction, shape.collision_type = world._physics["friction"], THING
-        self._space.add(body, shape)
-        self._named[shape] = obj
-        return body
-
-    def _kinematic(self) -> tuple[pymunk.Body, ...]:
-        """Base, palm with its bar (and what is held), left and right finger."""
-        world = self._world
-        friction = world._physics["grip"] / world._physics["friction"]
-        bodies = tuple(pymunk.Body(body_type=pymunk.Body.KINEMATIC) for _ in range(4))
-        shapes: list[pymunk.Shape] = [
-            pymunk.Circle(bodies[0], robot_body.BASE_RADIUS),
-            pymunk.Poly(bodies[1], box(0.0, 0.0, 0.0, *robot_body.PALM)),
-            pymunk.Poly(bodies[1], box(-robot_body.BAR_BEHIND, 0.0, 0.0, *robot_body.BAR)),
-            *(pymunk.Poly(body, box(0.0, 0.0, 0.0, *FINGER)) for body in bodies[2:]),
-        ]
-        if world._held is not None:
-            shapes.append(pymunk.Poly(bodies[1], box(*world._grip, *world._size[world._held])))
-        for shape in shapes:
-            shape.friction, shape.collision_type, shape.filter = friction, ROBOT_PART, pymunk.ShapeFilter(group=1)
-        for body, (x, y) in zip(bodies, self._places(world._at), strict=True):
-            body.position, body.angle = (x, y), world._at.theta
-        self._space.add(*bodies, *shapes)
-        return bodies
-
-    @staticmethod
-    def _places(at: Configuration) -> tuple[tuple[float, float], ...]:
-        ahead = at.arm + robot_body.FINGER_AHEAD
-        return (at.x, at.y), at.at(at.arm), at.at(ahead, at.gap / 2), at.at(ahead, -at.gap / 2)
-
-    def _drive(self, now: Configuration, then: Configuration) -> None:
-        """Let the next step of physics bring the robot from one configuration to the other."""
-        turn = math.remainder(then.theta - now.theta, 2 * math.pi) / self._dt
-        for body, (x0, y0), (x1, y1) in zip(self._robot, self._places(now), self._places(then), strict=True):
-            body.position, body.angle = (x0, y0), now.theta
-            body.velocity, body.angular_velocity = ((x1 - x0) / self._dt, (y1 - y0) / self._dt), turn
 
 
 def _upright(theta: float) -> float:

@@ -46,7 +46,7 @@ GRASP_ASIDE, GRASP_ABOVE = 0.08, 0.13
 """A hand is ready to grasp that is so near to a block's middle, and so far above it at most, m."""
 UPRIGHT = 0.15
 """rad by which its heading is off at most."""
-PLACE_ASIDE, PLACE_ABOVE = 0.075, 0.12
+PLACE_ASIDE, PLACE_ABOVE = 0.075, 0.05
 """A held block is ready to be placed that is so far from above the other one's middle, with such a gap, m."""
 ON_ASIDE, ON_GAP = 0.075, 0.015
 """The same of one that lies upon another."""

@@ -1,0 +1,213 @@
+"""The physics of one action, by pymunk: a robot that moves as it is told, among things that it pushes.
+
+What does not give way holds the robot up, so that it slides along and squeezes nothing. A space lives for one action
+and takes nothing over from the last one but places and velocities: the same actions from the same snapshot lead to
+exactly the same state.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pymunk
+
+from resync_robot.core.symbols import Object
+from resync_robot.sim_training.domains.blocked_stacking.body import (
+    BAR,
+    BAR_BEHIND,
+    BASE_RADIUS,
+    FINGER,
+    FINGER_AHEAD,
+    PALM,
+    Configuration,
+    Point,
+    Polygon,
+    box,
+)
+from resync_robot.sim_training.domains.blocked_stacking.vocabulary import BENCH, WORLD
+
+STEPS = 10
+"""Of an action."""
+ITERATIONS = 12
+GRAVITY = 9.8
+SLOP = 5e-4
+"""m that things may overlap without being pushed apart."""
+WEIGHT = 3.0
+"""kg of each part of the robot, as what it runs into feels it. It presses with no more than what stops that within a
+step: 30 N where it goes at 0.2 m/s."""
+AT_REST = 0.01
+"""m/s and rad/s below which a thing comes to rest at the end of an action."""
+NEAR = 1.2
+"""m aside of the robot up to which something at rest can be moved within one action, be it by something else."""
+ROBOT_PART, THING, FIXED = 1, 2, 3
+
+# What `body.velocity = ...` does, without what pymunk's type checking costs.
+_set_velocity, _set_turning = pymunk.Body.velocity.fset, pymunk.Body.angular_velocity.fset
+_set_force = pymunk.Body.force.fset
+
+
+@dataclass(frozen=True, slots=True)
+class Moving:
+    """Where a thing is, and how it moves: m, rad, m/s, rad/s."""
+
+    x: float
+    y: float
+    theta: float
+    vx: float = 0.0
+    vy: float = 0.0
+    omega: float = 0.0
+
+    @property
+    def rests(self) -> bool:
+        return self.vx == self.vy == self.omega == 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """Something that can be pushed: its size, m, mass, kg, and friction; that of two things is the product."""
+
+    width: float
+    height: float
+    mass: float
+    friction: float
+
+
+class Action:
+    """One action among things.
+
+    Args:
+        fixed: what does not move.
+        grip: the friction of the robot's parts.
+        carried: the block that it holds, in the frame of its palm.
+    """
+
+    def __init__(
+        self,
+        at: Configuration,
+        places: Mapping[Object, Moving],
+        things: Mapping[Object, Thing],
+        fixed: Mapping[Object, Polygon],
+        grip: float,
+        carried: Polygon | None,
+    ) -> None:
+        self.at, self.places, self.touched = at, dict(places), set[Object]()
+        space = self._space = pymunk.Space()
+        space.collision_slop, space.iterations = SLOP, ITERATIONS
+        self._named: dict[pymunk.Shape, Object] = {}
+        self._add_fixed(fixed)
+        self._bodies = {
+            obj: self._thing(obj, things[obj], place)
+            for obj, place in places.items()
+            if not place.rests or abs(place.x - at.x) < NEAR
+        }
+        self._robot = self._parts(grip, carried)
+        self._touches = False
+        for other in (THING, FIXED):
+            space.on_collision(ROBOT_PART, other, post_solve=self._touch)
+
+    def run(self, step: Sequence[float], duration: float) -> None:
+        """Move the robot by (dx, dy, dtheta, darm, dgap) within `duration`, and whatever it pushes."""
+        dt = duration / STEPS
+        for body in self._robot:
+            _set_turning(body, step[2] / duration)
+        weights = [(body, (0.0, -GRAVITY * body.mass)) for body in self._bodies.values()]
+        before = self._joints(self.at)
+        for _ in range(STEPS):
+            self.at = self.at.moved(step, 1 / STEPS)
+            after = self._joints(self.at)
+            wanted = [((x1 - x0) / dt, (y1 - y0) / dt) for (x0, y0), (x1, y1) in zip(before, after, strict=True)]
+            for body, velocity in zip(self._robot, wanted, strict=True):
+                _set_velocity(body, velocity)
+            for body, weight in weights:
+                _set_force(body, weight)
+            self._touches = False
+            self._space.step(dt)
+            before = after
+            if self._touches:
+                before = self._give_way(after, wanted, dt)
+        for obj, body in self._bodies.items():
+            (x, y), (vx, vy), omega = body.position, body.velocity, body.angular_velocity
+            if max(abs(vx), abs(vy), abs(omega)) < AT_REST:
+                vx = vy = omega = 0.0
+            self.places[obj] = Moving(x, y, body.angle, vx, vy, omega)
+
+    def _give_way(self, places: Sequence[Point], wanted: Sequence[Point], dt: float) -> tuple[Point, ...]:
+        """Let all of the robot follow that of its parts which was held up most. Returns where its parts are then."""
+        most = 0.0, 0.0
+        for body, (x, y), (vx, vy) in zip(self._robot, places, wanted, strict=True):
+            # pymunk first moves, then looks for contacts and says how fast to go on.
+            here, speed = body.position, body.velocity
+            off = here.x - x + (speed.x - vx) * dt, here.y - y + (speed.y - vy) * dt
+            most = max(most, off, key=lambda d: math.hypot(*d))
+        self.at = self.at.moved((*most, 0.0, 0.0, 0.0))
+        joints = self._joints(self.at)
+        for body, place in zip(self._robot, joints, strict=True):
+            body.position = place
+        return joints
+
+    def _touch(self, arbiter: pymunk.Arbiter, _space: Any, _data: Any) -> None:
+        self._touches = True
+        obj = self._named.get(arbiter.shapes[1])
+        if obj is not None:
+            self.touched.add(obj)
+
+    def _add_fixed(self, fixed: Mapping[Object, Polygon]) -> None:
+        width, height = WORLD
+        around: list[Polygon] = [[(-1, -1), (width + 1, -1), (width + 1, BENCH), (-1, BENCH)]]
+        if self.at.x < NEAR:
+            around.append([(-1, 0), (0, 0), (0, height), (-1, height)])
+        if self.at.x > width - NEAR:
+            around.append([(width, 0), (width + 1, 0), (width + 1, height), (width, height)])
+        near = {o: polygon for o, polygon in fixed.items() if abs(polygon[0][0] - self.at.x) < NEAR}
+        for obj, polygon in (*((None, p) for p in around), *near.items()):
+            shape = pymunk.Poly(self._space.static_body, polygon)
+            shape.friction, shape.collision_type = 1.0, FIXED
+            self._space.add(shape)
+            if obj is not None:
+                self._named[shape] = obj
+
+    def _thing(self, obj: Object, thing: Thing, place: Moving) -> pymunk.Body:
+        size = thing.width, thing.height
+        body = pymunk.Body(thing.mass, pymunk.moment_for_box(thing.mass, size))
+        body.position, body.angle = (place.x, place.y), place.theta
+        body.velocity, body.angular_velocity = (place.vx, place.vy), place.omega
+        shape = pymunk.Poly(body, box(0.0, 0.0, 0.0, *size))
+        shape.friction, shape.collision_type = thing.friction, THING
+        self._space.add(body, shape)
+        self._named[shape] = obj
+        return body
+
+    def _parts(self, grip: float, carried: Polygon | None) -> tuple[pymunk.Body, ...]:
+        """Base, palm with its bar and what it carries, left and right finger."""
+        bodies = tuple(pymunk.Body(WEIGHT, math.inf) for _ in range(4))
+        shapes: list[pymunk.Shape] = [
+            pymunk.Circle(bodies[0], BASE_RADIUS),
+            pymunk.Poly(bodies[1], box(0.0, 0.0, 0.0, *PALM)),
+            pymunk.Poly(bodies[1], box(-BAR_BEHIND, 0.0, 0.0, *BAR)),
+            *(pymunk.Poly(body, box(0.0, 0.0, 0.0, *FINGER)) for body in bodies[2:]),
+        ]
+        if carried is not None:
+            shapes.append(pymunk.Poly(bodies[1], carried))
+        itself = pymunk.ShapeFilter(group=1)
+        for shape in shapes:
+            shape.friction, shape.collision_type, shape.filter = grip, ROBOT_PART, itself
+        for body, place in zip(bodies, self._joints(self.at), strict=True):
+            body.position, body.angle = place, self.at.theta
+        self._space.add(*bodies, *shapes)
+        return bodies
+
+    @staticmethod
+    def _joints(at: Configuration) -> tuple[Point, ...]:
+        """Where the middles of the four bodies are."""
+        cos, sin = math.cos(at.theta), math.sin(at.theta)
+        far, aside = at.arm + FINGER_AHEAD, at.gap / 2
+        x, y = at.x + far * cos, at.y + far * sin
+        return (
+            (at.x, at.y),
+            (at.x + at.arm * cos, at.y + at.arm * sin),
+            (x - aside * sin, y + aside * cos),
+            (x + aside * sin, y - aside * cos),
+        )
