@@ -13,6 +13,8 @@ from resync_robot.sim_training.domains.blocked_stacking.vocabulary import WORLD
 Point = tuple[float, float]
 Polygon = Sequence[Point]
 """Corners of a convex one, anticlockwise."""
+Bounds = tuple[float, float, float, float]
+"""Least x and y, and greatest."""
 
 BASE_RADIUS = 0.24
 PALM = (0.06, 0.32)
@@ -88,6 +90,31 @@ class Configuration:
             box(*self.at(self.arm + FINGER_AHEAD, -across), self.theta, *FINGER),
         )
 
+    def middles(self) -> tuple[Point, Point, Point, Point]:
+        """Where base, palm, left and right finger are."""
+        cos, sin = math.cos(self.theta), math.sin(self.theta)
+        far, aside = self.arm + FINGER_AHEAD, self.gap / 2
+        x, y = self.x + far * cos, self.y + far * sin
+        return (
+            (self.x, self.y),
+            (self.x + self.arm * cos, self.y + self.arm * sin),
+            (x - aside * sin, y + aside * cos),
+            (x + aside * sin, y - aside * cos),
+        )
+
+    def bounds(self) -> tuple[Bounds, Bounds, Bounds, Bounds]:
+        """Around base, palm with its bar, left and right finger."""
+        cos, sin = math.cos(self.theta), math.sin(self.theta)
+        base, palm, left, right = self.middles()
+        bar = palm[0] - BAR_BEHIND * cos, palm[1] - BAR_BEHIND * sin
+        carries = bounds(*palm, self.theta, *PALM), bounds(*bar, self.theta, *BAR)
+        return (
+            (base[0] - BASE_RADIUS, base[1] - BASE_RADIUS, base[0] + BASE_RADIUS, base[1] + BASE_RADIUS),
+            together(*carries),
+            bounds(*left, self.theta, *FINGER),
+            bounds(*right, self.theta, *FINGER),
+        )
+
 
 _AROUND = [2 * math.pi * i / 16 for i in range(16)]
 
@@ -97,6 +124,18 @@ def box(x: float, y: float, theta: float, width: float, height: float) -> list[P
     cos, sin, w, h = math.cos(theta), math.sin(theta), width / 2, height / 2
     corners = ((-w, -h), (w, -h), (w, h), (-w, h))
     return [(x + a * cos - b * sin, y + a * sin + b * cos) for a, b in corners]
+
+
+def bounds(x: float, y: float, theta: float, width: float, height: float) -> Bounds:
+    """Around a rectangle."""
+    cos, sin = abs(math.cos(theta)), abs(math.sin(theta))
+    w, h = (width * cos + height * sin) / 2, (width * sin + height * cos) / 2
+    return x - w, y - h, x + w, y + h
+
+
+def together(a: Bounds, b: Bounds) -> Bounds:
+    """Around both."""
+    return min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3])
 
 
 def overlap(a: Polygon, b: Polygon) -> float:

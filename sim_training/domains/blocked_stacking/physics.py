@@ -20,7 +20,6 @@ from resync_robot.sim_training.domains.blocked_stacking.body import (
     BAR_BEHIND,
     BASE_RADIUS,
     FINGER,
-    FINGER_AHEAD,
     PALM,
     Configuration,
     Point,
@@ -29,7 +28,7 @@ from resync_robot.sim_training.domains.blocked_stacking.body import (
 )
 from resync_robot.sim_training.domains.blocked_stacking.vocabulary import BENCH, WORLD
 
-STEPS = 10
+STEPS = 8
 """Of an action."""
 ITERATIONS = 12
 GRAVITY = 9.8
@@ -43,6 +42,8 @@ AT_REST = 0.01
 NEAR = 1.2
 """m aside of the robot up to which something at rest can be moved within one action, be it by something else."""
 ROBOT_PART, THING, FIXED = 1, 2, 3
+BASE, HELD_BY = 0, 1
+"""The parts that are no fingers: the base, and the palm with its bar and what it holds."""
 
 # What `body.velocity = ...` does, without what pymunk's type checking costs.
 _set_velocity, _set_turning = pymunk.Body.velocity.fset, pymunk.Body.angular_velocity.fset
@@ -82,6 +83,8 @@ class Action:
         fixed: what does not move.
         grip: the friction of the robot's parts.
         carried: the block that it holds, in the frame of its palm.
+        parts: of the robot, that could touch something: 0 the base, 1 palm and bar, 2 and 3 the fingers.
+        near: m aside of the robot up to which things at rest are looked at.
     """
 
     def __init__(
@@ -92,18 +95,20 @@ class Action:
         fixed: Mapping[Object, Polygon],
         grip: float,
         carried: Polygon | None,
+        parts: Sequence[int],
+        near: float,
     ) -> None:
         self.at, self.places, self.touched = at, dict(places), set[Object]()
         space = self._space = pymunk.Space()
         space.collision_slop, space.iterations = SLOP, ITERATIONS
         self._named: dict[pymunk.Shape, Object] = {}
-        self._add_fixed(fixed)
+        self._add_fixed(fixed, near)
         self._bodies = {
             obj: self._thing(obj, things[obj], place)
             for obj, place in places.items()
-            if not place.rests or abs(place.x - at.x) < NEAR
+            if not place.rests or abs(place.x - at.x) < near
         }
-        self._robot = self._parts(grip, carried)
+        self._robot = self._parts(grip, carried, parts)
         self._touches = False
         for other in (THING, FIXED):
             space.on_collision(ROBOT_PART, other, post_solve=self._touch)
@@ -111,42 +116,41 @@ class Action:
     def run(self, step: Sequence[float], duration: float) -> None:
         """Move the robot by (dx, dy, dtheta, darm, dgap) within `duration`, and whatever it pushes."""
         dt = duration / STEPS
-        for body in self._robot:
+        for body in self._robot.values():
             _set_turning(body, step[2] / duration)
         weights = [(body, (0.0, -GRAVITY * body.mass)) for body in self._bodies.values()]
-        before = self._joints(self.at)
+        before = self.at.middles()
         for _ in range(STEPS):
             self.at = self.at.moved(step, 1 / STEPS)
-            after = self._joints(self.at)
-            wanted = [((x1 - x0) / dt, (y1 - y0) / dt) for (x0, y0), (x1, y1) in zip(before, after, strict=True)]
-            for body, velocity in zip(self._robot, wanted, strict=True):
-                _set_velocity(body, velocity)
+            after, wanted = self.at.middles(), {}
+            for part, body in self._robot.items():
+                (x0, y0), (x1, y1) = before[part], after[part]
+                wanted[part] = (x1 - x0) / dt, (y1 - y0) / dt
+                _set_velocity(body, wanted[part])
             for body, weight in weights:
                 _set_force(body, weight)
             self._touches = False
             self._space.step(dt)
-            before = after
-            if self._touches:
-                before = self._give_way(after, wanted, dt)
+            before = self._give_way(after, wanted, dt) if self._touches else after
         for obj, body in self._bodies.items():
             (x, y), (vx, vy), omega = body.position, body.velocity, body.angular_velocity
             if max(abs(vx), abs(vy), abs(omega)) < AT_REST:
                 vx = vy = omega = 0.0
             self.places[obj] = Moving(x, y, body.angle, vx, vy, omega)
 
-    def _give_way(self, places: Sequence[Point], wanted: Sequence[Point], dt: float) -> tuple[Point, ...]:
+    def _give_way(self, places: Sequence[Point], wanted: Mapping[int, Point], dt: float) -> Sequence[Point]:
         """Let all of the robot follow that of its parts which was held up most. Returns where its parts are then."""
         most = 0.0, 0.0
-        for body, (x, y), (vx, vy) in zip(self._robot, places, wanted, strict=True):
+        for part, body in self._robot.items():
             # pymunk first moves, then looks for contacts and says how fast to go on.
-            here, speed = body.position, body.velocity
+            (x, y), (vx, vy), here, speed = places[part], wanted[part], body.position, body.velocity
             off = here.x - x + (speed.x - vx) * dt, here.y - y + (speed.y - vy) * dt
             most = max(most, off, key=lambda d: math.hypot(*d))
         self.at = self.at.moved((*most, 0.0, 0.0, 0.0))
-        joints = self._joints(self.at)
-        for body, place in zip(self._robot, joints, strict=True):
-            body.position = place
-        return joints
+        middles = self.at.middles()
+        for part, body in self._robot.items():
+            body.position = middles[part]
+        return middles
 
     def _touch(self, arbiter: pymunk.Arbiter, _space: Any, _data: Any) -> None:
         self._touches = True
@@ -154,15 +158,15 @@ class Action:
         if obj is not None:
             self.touched.add(obj)
 
-    def _add_fixed(self, fixed: Mapping[Object, Polygon]) -> None:
+    def _add_fixed(self, fixed: Mapping[Object, Polygon], near: float) -> None:
         width, height = WORLD
         around: list[Polygon] = [[(-1, -1), (width + 1, -1), (width + 1, BENCH), (-1, BENCH)]]
-        if self.at.x < NEAR:
+        if self.at.x < near:
             around.append([(-1, 0), (0, 0), (0, height), (-1, height)])
-        if self.at.x > width - NEAR:
+        if self.at.x > width - near:
             around.append([(width, 0), (width + 1, 0), (width + 1, height), (width, height)])
-        near = {o: polygon for o, polygon in fixed.items() if abs(polygon[0][0] - self.at.x) < NEAR}
-        for obj, polygon in (*((None, p) for p in around), *near.items()):
+        beside = {o: polygon for o, polygon in fixed.items() if abs(polygon[0][0] - self.at.x) < near}
+        for obj, polygon in (*((None, p) for p in around), *beside.items()):
             shape = pymunk.Poly(self._space.static_body, polygon)
             shape.friction, shape.collision_type = 1.0, FIXED
             self._space.add(shape)
@@ -180,34 +184,22 @@ class Action:
         self._named[shape] = obj
         return body
 
-    def _parts(self, grip: float, carried: Polygon | None) -> tuple[pymunk.Body, ...]:
-        """Base, palm with its bar and what it carries, left and right finger."""
-        bodies = tuple(pymunk.Body(WEIGHT, math.inf) for _ in range(4))
-        shapes: list[pymunk.Shape] = [
-            pymunk.Circle(bodies[0], BASE_RADIUS),
-            pymunk.Poly(bodies[1], box(0.0, 0.0, 0.0, *PALM)),
-            pymunk.Poly(bodies[1], box(-BAR_BEHIND, 0.0, 0.0, *BAR)),
-            *(pymunk.Poly(body, box(0.0, 0.0, 0.0, *FINGER)) for body in bodies[2:]),
-        ]
-        if carried is not None:
-            shapes.append(pymunk.Poly(bodies[1], carried))
+    def _parts(self, grip: float, carried: Polygon | None, parts: Sequence[int]) -> dict[int, pymunk.Body]:
+        bodies, middles = {part: pymunk.Body(WEIGHT, math.inf) for part in parts}, self.at.middles()
+        shapes: list[pymunk.Shape] = []
+        for part, body in bodies.items():
+            body.position, body.angle = middles[part], self.at.theta
+            if part == BASE:
+                shapes.append(pymunk.Circle(body, BASE_RADIUS))
+            elif part == HELD_BY:
+                shapes.append(pymunk.Poly(body, box(0.0, 0.0, 0.0, *PALM)))
+                shapes.append(pymunk.Poly(body, box(-BAR_BEHIND, 0.0, 0.0, *BAR)))
+                if carried is not None:
+                    shapes.append(pymunk.Poly(body, carried))
+            else:
+                shapes.append(pymunk.Poly(body, box(0.0, 0.0, 0.0, *FINGER)))
         itself = pymunk.ShapeFilter(group=1)
         for shape in shapes:
             shape.friction, shape.collision_type, shape.filter = grip, ROBOT_PART, itself
-        for body, place in zip(bodies, self._joints(self.at), strict=True):
-            body.position, body.angle = place, self.at.theta
-        self._space.add(*bodies, *shapes)
+        self._space.add(*bodies.values(), *shapes)
         return bodies
-
-    @staticmethod
-    def _joints(at: Configuration) -> tuple[Point, ...]:
-        """Where the middles of the four bodies are."""
-        cos, sin = math.cos(at.theta), math.sin(at.theta)
-        far, aside = at.arm + FINGER_AHEAD, at.gap / 2
-        x, y = at.x + far * cos, at.y + far * sin
-        return (
-            (at.x, at.y),
-            (at.x + at.arm * cos, at.y + at.arm * sin),
-            (x - aside * sin, y + aside * cos),
-            (x + aside * sin, y - aside * cos),
-        )

@@ -17,9 +17,19 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.world import Observation
-from resync_robot.sim_training.domains.blocked_stacking import body as robot_body
-from resync_robot.sim_training.domains.blocked_stacking.body import FINGER, GAP, LIMITS, Configuration, box, overlap
-from resync_robot.sim_training.domains.blocked_stacking.physics import Action, Moving, Thing
+from resync_robot.sim_training.domains.blocked_stacking.body import (
+    FINGER,
+    FINGER_AHEAD,
+    GAP,
+    LIMITS,
+    Bounds,
+    Configuration,
+    bounds,
+    box,
+    overlap,
+    together,
+)
+from resync_robot.sim_training.domains.blocked_stacking.physics import NEAR, Action, Moving, Thing
 from resync_robot.sim_training.domains.blocked_stacking.picture import draw
 from resync_robot.sim_training.domains.blocked_stacking.vocabulary import (
     BENCH,
@@ -36,6 +46,10 @@ OVERLAP = 0.006
 """m that things may overlap in a state that can be: a little more than what contacts leave behind."""
 STAYS = 0.01
 """m and rad that something may move by itself in a scene that stands."""
+STILL = (0.0,) * len(LIMITS)
+"""An action that moves nothing."""
+MARGIN = 0.02
+"""m between two things up to which they may come to touch within an action that does not lead them so far."""
 TOUCH = 0.002
 """m from a block's side at which a finger touches it."""
 GRASP_TILT, GRASP_DEPTH, GRASP_OFF = 0.15, 0.04, 0.1
@@ -113,29 +127,31 @@ class Bench:
             self._close(self._at.gap + step[4])
         if self._held is not None and not opens:
             step[4] = 0.0
-        if self._resting and not self._may_touch():
+        parts = self._may_touch(step)
+        if self._resting and not parts:
             self._at = self._at.moved(step)
-        else:
-            self._do(step, duration)
-        if self._held is not None:
             self._carry()
-            if opens:
-                self._held, self._resting = None, False
+        else:
+            self._do(step, duration, parts)
+        if opens:
+            self._held, self._resting = None, False
 
-    def _do(self, step: Sequence[float], duration: float) -> None:
+    def _do(self, step: Sequence[float], duration: float, parts: Sequence[int], near: float = NEAR) -> None:
+        """Move the robot by physics, and what these parts of it push, or what moves anyway."""
         held = self._held
         free = {o: place for o, place in self._places.items() if o != held}
         carried = None if held is None else box(*self._grip, *self._size[held])
         grip = self._physics["grip"] / self._physics["friction"]
-        action = Action(self._at, free, self._things, self._fixed, grip, carried)
+        action = Action(self._at, free, self._things, self._fixed, grip, carried, parts, near)
         action.run(step, duration)
         self._at = action.at
         self._places.update(action.places)
+        self._carry()
         self._touched = {o: 1.0 for o in action.touched if o.type in OBSTRUCTIONS}
         self._resting = all(place.rests for o, place in self._places.items() if o != held)
 
     def picture(self) -> np.ndarray:
-        """(320, 720, 3) the scene from the side."""
+        """(320, 724, 3) the scene from the side."""
         return draw(self.perceive(), self._at, {o.name for o in self._touched})
 
     # -- grasping -----------------------------------------------------------------------------------------------------
@@ -152,7 +168,7 @@ class Bench:
         thing, (width, height) = self._places[obj], self._size[obj]
         ahead, aside = self._at.local((thing.x, thing.y))
         # What the palm has before it.
-        between = self._at.arm + robot_body.FINGER_AHEAD + FINGER[0] / 2 - (ahead - height / 2)
+        between = self._at.arm + FINGER_AHEAD + FINGER[0] / 2 - (ahead - height / 2)
         square = abs(_upright(self._at.theta - thing.theta)) < GRASP_TILT
         touched = (gap - FINGER[1]) / 2 < abs(aside) + width / 2 + TOUCH
         return square and touched and between > GRASP_DEPTH and ahead > self._at.arm and abs(aside) < GRASP_OFF
@@ -164,9 +180,14 @@ class Bench:
         self._at.gap = min(max(2 * abs(self._grip[1]) + width + FINGER[1], GAP[0]), self._at.gap)
 
     def _carry(self) -> None:
+        if self._held is None:
+            return
+        self._places[self._held] = Moving(*self._carried_by(self._at))
+
+    def _carried_by(self, at: Configuration) -> tuple[float, float, float]:
+        """Where the held block is in that configuration."""
         ahead, aside, turned = self._grip
-        place = self._at.at(self._at.arm + ahead, aside)
-        self._places[self._held] = Moving(*place, self._at.theta + turned)
+        return *at.at(at.arm + ahead, aside), at.theta + turned
 
     # -- scenes -------------------------------------------------------------------------------------------------------
 
@@ -185,7 +206,7 @@ class Bench:
         """Let everything come to rest; whether it was about where it rests."""
         before = dict(self._places)
         for _ in range(5):
-            self._do((0.0,) * 5, 0.2)
+            self._do(STILL, 0.2, self._may_touch(STILL), near=math.inf)
             if self._resting:
                 break
         self._touched = {}
@@ -195,27 +216,26 @@ class Bench:
         ]
         return self._resting and max(moved, default=0.0) < STAYS
 
-    def _may_touch(self) -> bool:
-        """Could the robot, with any one action, come to touch something?"""
-        at = self._at
-        ahead = at.arm + robot_body.FINGER_AHEAD
-        x, y = at.at(ahead)
-        low = min(y, at.y)
-        reach = 0.25 + 0.2 * (self._held is not None) + 0.18
-        if low < BENCH + reach:
-            return True
-        dx, dy = (x - at.x) / ahead, (y - at.y) / ahead
-        for obj, (w, h) in self._size.items():
-            if obj == self._held:
-                continue
-            if obj in self._places:
-                ox, oy = self._places[obj].x, self._places[obj].y
-            else:
-                ox, oy = map(float, self._given[obj][:2])
-            along = min(max((ox - at.x) * dx + (oy - at.y) * dy, -0.2), ahead)
-            if math.hypot(ox - at.x - along * dx, oy - at.y - along * dy) < reach + math.hypot(w, h) / 2:
-                return True
-        return False
+    def _may_touch(self, step: Sequence[float]) -> tuple[int, ...]:
+        """Which parts of the robot could touch something on the way: base, palm, left and right finger."""
+        then = self._at.moved(step)
+        ways = [together(a, b) for a, b in zip(self._at.bounds(), then.bounds(), strict=True)]
+        if self._held is not None:
+            place, size = self._places[self._held], self._size[self._held]
+            carried = bounds(place.x, place.y, place.theta, *size), bounds(*self._carried_by(then), *size)
+            ways[1] = together(ways[1], together(*carried))
+        low, x0, x1 = min(w[1] for w in ways), min(w[0] for w in ways), max(w[2] for w in ways)
+        near = []
+        for obj, size in self._size.items():
+            place = self._places.get(obj)
+            x, y, theta = map(float, self._given[obj][:3]) if place is None else (place.x, place.y, place.theta)
+            if obj != self._held and x0 - 1 < x < x1 + 1 and low < y + 1:
+                near.append(bounds(x, y, theta, *size))
+        return tuple(i for i, way in enumerate(ways) if way[1] < BENCH + MARGIN or any(_meet(way, b) for b in near))
+
+
+def _meet(a: Bounds, b: Bounds) -> bool:
+    return a[0] < b[2] + MARGIN and b[0] < a[2] + MARGIN and a[1] < b[3] + MARGIN and b[1] < a[3] + MARGIN
 
 
 def _upright(theta: float) -> float:
