@@ -34,11 +34,13 @@ ITERATIONS = 12
 GRAVITY = 9.8
 SLOP = 5e-4
 """m that things may overlap without being pushed apart."""
+BIAS = 1e-6
+"""Share of an overlap that is left after a second."""
 WEIGHT = 3.0
 """kg of each part of the robot, as what it runs into feels it. It presses with no more than what stops that within a
 step: 30 N where it goes at 0.2 m/s."""
-AT_REST = 0.01
-"""m/s and rad/s below which a thing comes to rest at the end of an action."""
+AT_REST, SETTLED = 0.01, 5e-4
+"""m/s and rad/s below which a thing comes to rest at the end of an action, and m that it moved meanwhile at most."""
 NEAR = 1.2
 """m aside of the robot up to which something at rest can be moved within one action, be it by something else."""
 ROBOT_PART, THING, FIXED = 1, 2, 3
@@ -100,7 +102,7 @@ class Action:
     ) -> None:
         self.at, self.places, self.touched = at, dict(places), set[Object]()
         space = self._space = pymunk.Space()
-        space.collision_slop, space.iterations = SLOP, ITERATIONS
+        space.collision_slop, space.collision_bias, space.iterations = SLOP, BIAS, ITERATIONS
         self._named: dict[pymunk.Shape, Object] = {}
         self._add_fixed(fixed, near)
         self._bodies = {
@@ -134,7 +136,8 @@ class Action:
             before = self._give_way(after, wanted, dt) if self._touches else after
         for obj, body in self._bodies.items():
             (x, y), (vx, vy), omega = body.position, body.velocity, body.angular_velocity
-            if max(abs(vx), abs(vy), abs(omega)) < AT_REST:
+            was = self.places[obj]
+            if max(abs(vx), abs(vy), abs(omega)) < AT_REST and max(abs(x - was.x), abs(y - was.y)) < SETTLED:
                 vx = vy = omega = 0.0
             self.places[obj] = Moving(x, y, body.angle, vx, vy, omega)
 
