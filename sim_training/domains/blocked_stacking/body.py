@@ -48,9 +48,13 @@ class Configuration:
     @staticmethod
     def of(features: np.ndarray) -> Configuration:
         """From the features of a robot in a state."""
-        x, y, theta, _, spread, reach = map(float, features)
+        x, y, theta, _, spread, reach = features.tolist()
         gap, arm = spread - FINGER[1], reach - MIDDLE
         return Configuration(x - reach * math.cos(theta), y - reach * math.sin(theta), theta, arm, gap)
+
+    def values(self) -> tuple[float, float, float, float, float]:
+        """In the order of an action's components."""
+        return self.x, self.y, self.theta, self.arm, self.gap
 
     def features(self) -> np.ndarray:
         """(6,) as a state has them."""

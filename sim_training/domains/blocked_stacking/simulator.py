@@ -78,16 +78,12 @@ class Bench:
     # -- what learning relies on --------------------------------------------------------------------------------------
 
     def reset(self, state: State) -> bool:
-        self._given, self.time, self._touched = state, 0.0, {}
-        self._size = {o: tuple(map(float, state[o][3:5])) for o in state if o != self._robot}
+        self.time, self._touched, self._resting = 0.0, {}, False
+        self._furnish(state)
         self._at = Configuration.of(state[self._robot])
-        self._places = {o: Moving(*map(float, state[o][:3])) for o in state if o.type in (BLOCK, CRATE)}
-        friction = self._physics["friction"]
-        self._things = {o: Thing(*self._size[o], self._physics[f"{o.type.name}_mass"], friction) for o in self._places}
-        self._fixed = {o: box(*map(float, state[o][:5])) for o in state if o.type in (SLAB, WALL)}
+        self._places = {o: Moving(*map(float, state[o][:3])) for o in self._things}
         self._held: Object | None = None
         self._grip = (0.0, 0.0, 0.0)
-        self._resting = False
         held = [o for o in state.of_type(BLOCK) if state.get(o, "held")[0] > 0.5]
         if len(held) > 1 or (held and not self._holds(held[0], self._at.gap)):
             return False
@@ -95,11 +91,26 @@ class Bench:
             self._hold(held[0])
         return self._apart() and self._stands()
 
+    def _furnish(self, state: State) -> None:
+        """What there is, how large, and where all that is fixed."""
+        self._given = state
+        self._size = {o: (float(state[o][3]), float(state[o][4])) for o in state if o != self._robot}
+        physics = self._physics
+        self._things = {
+            o: Thing(*size, physics[f"{o.type.name}_mass"], physics["friction"])
+            for o, size in self._size.items()
+            if o.type in (BLOCK, CRATE)
+        }
+        self._fixed = {o: box(*map(float, state[o][:5])) for o in state if o.type in (SLAB, WALL)}
+
     def save(self) -> Any:
-        return self.time, replace(self._at), dict(self._places), self._held, self._grip, self._resting, self._touched
+        moving = replace(self._at), dict(self._places), self._held, self._grip, self._resting
+        return self._given, self.time, self._touched, moving
 
     def restore(self, snapshot: Any) -> None:
-        self.time, at, places, self._held, self._grip, self._resting, touched = snapshot
+        given, self.time, touched, (at, places, self._held, self._grip, self._resting) = snapshot
+        if given is not self._given:
+            self._furnish(given)
         self._at, self._places, self._touched = replace(at), dict(places), dict(touched)
 
     def observe(self, live: bool = False) -> Felt:
@@ -229,8 +240,11 @@ class Bench:
         for obj, size in self._size.items():
             place = self._places.get(obj)
             x, y, theta = map(float, self._given[obj][:3]) if place is None else (place.x, place.y, place.theta)
-            if obj != self._held and x0 - 1 < x < x1 + 1 and low < y + 1:
+            reach = (size[0] + size[1]) / 2 + MARGIN
+            if obj != self._held and x0 - reach < x < x1 + reach and low < y + reach:
                 near.append(bounds(x, y, theta, *size))
+        if not near and low > BENCH + MARGIN:
+            return ()
         return tuple(i for i, way in enumerate(ways) if way[1] < BENCH + MARGIN or any(_meet(way, b) for b in near))
 
 

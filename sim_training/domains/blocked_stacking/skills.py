@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -146,10 +146,10 @@ def skills() -> tuple[Skill, ...]:
 
 def _between(start: Configuration, corners: Sequence[Configuration]) -> list[Configuration]:
     """Points on the way, so near to each other that one action leads from each to the next."""
-    points, here = [], np.array(astuple(start))
+    points, here = [], np.array(start.values())
     most = GENTLE * np.array(list(LIMITS.values()))
     for corner in corners:
-        there = np.array(astuple(corner))
+        there = np.array(corner.values())
         way = there - here
         way[2] = math.remainder(way[2], 2 * math.pi)
         count = math.ceil(float(np.max(np.abs(way) / most)) - 1e-6)
@@ -160,7 +160,6 @@ def _between(start: Configuration, corners: Sequence[Configuration]) -> list[Con
 
 def _change(here: Configuration, there: Configuration) -> np.ndarray:
     """(5,) the action that leads from one to the other, as far as it may."""
-    way = np.array(astuple(there)) - np.array(astuple(here))
+    way = [b - a for a, b in zip(here.values(), there.values(), strict=True)]
     way[2] = math.remainder(way[2], 2 * math.pi)
-    most = GENTLE * np.array(list(LIMITS.values()))
-    return np.clip(way, -most, most)
+    return np.array([min(max(d, -GENTLE * most), GENTLE * most) for d, most in zip(way, LIMITS.values(), strict=True)])

@@ -70,6 +70,16 @@ def test_the_same_actions_from_the_same_snapshot_lead_to_exactly_the_same_state(
         act(world, 2, darm=0.1, dx=float(rng.uniform(-0.05, 0.05)))
 
 
+def test_a_snapshot_has_what_is_fixed_too() -> None:
+    world, slab = world_over("0"), SLAB("slab")
+    kept, before = world.save(), world.perceive()
+    assert world.reset(before.with_features(slab, x=before[slab][0] + 0.3))
+    world.restore(kept)
+    assert same(world.perceive(), before) and world.perceive()[slab][0] == before[slab][0]
+    act(world, 6, dy=-0.05)
+    assert set(world.contacts()) == {slab}
+
+
 def test_what_cannot_touch_anything_needs_no_physics(monkeypatch: pytest.MonkeyPatch) -> None:
     """And with physics it would move in the same way."""
     made: list[Any] = []
