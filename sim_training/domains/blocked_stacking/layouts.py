@@ -45,7 +45,7 @@ class Sizes:
     slab: tuple[Range, Range] = ((0.125, 0.140), (0.060, 0.070))
     crate: tuple[Range, Range] = ((0.34, 0.37), (0.43, 0.46))
     wall: tuple[Range, Range] = ((0.055, 0.062), (0.44, 0.455))
-    friction: Range = (0.36, 0.44)
+    friction: Range = (0.22, 0.30)
     grip: Range = (0.9, 1.1)
     mass: Range = (0.9, 1.1)
 
@@ -64,7 +64,7 @@ UNSEEN = Sizes(
     slab=((0.142, 0.150), (0.052, 0.058)),
     crate=((0.31, 0.33), (0.40, 0.42)),
     wall=((0.048, 0.053), (0.456, 0.462)),
-    friction=(0.45, 0.50),
+    friction=(0.31, 0.36),
     mass=(1.12, 1.25),
 )
 """Beyond what training draws."""
@@ -123,7 +123,7 @@ def _slab(rng: np.random.Generator, x: float, side: float, sizes: Sizes) -> np.n
     width, height = (rng.uniform(*size) for size in sizes.slab)
     above = BENCH + side + height / 2 + rng.uniform(0.026, 0.038)
     tilt = math.pi / 12
-    return np.array([x + side / 2 + rng.uniform(0.045, 0.055), above, rng.uniform(-tilt, tilt), width, height])
+    return np.array([x + side / 2 + rng.uniform(0.05, 0.06), above, rng.uniform(-tilt, tilt), width, height])
 
 
 def _crate(rng: np.random.Generator, x: float, side: float, sizes: Sizes) -> np.ndarray:
