@@ -121,7 +121,7 @@ class Action:
         for body in self._robot.values():
             _set_turning(body, step[2] / duration)
         weights = [(body, (0.0, -GRAVITY * body.mass)) for body in self._bodies.values()]
-        before = self.at.middles()
+        before: Sequence[Point] = self.at.middles()
         for _ in range(STEPS):
             self.at = self.at.moved(step, 1 / STEPS)
             after, wanted = self.at.middles(), {}

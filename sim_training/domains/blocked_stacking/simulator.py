@@ -24,6 +24,7 @@ from resync_robot.sim_training.domains.blocked_stacking.body import (
     LIMITS,
     Bounds,
     Configuration,
+    Polygon,
     bounds,
     box,
     overlap,
@@ -78,7 +79,8 @@ class Bench:
     # -- what learning relies on --------------------------------------------------------------------------------------
 
     def reset(self, state: State) -> bool:
-        self.time, self._touched, self._resting = 0.0, {}, False
+        self.time, self._resting = 0.0, False
+        self._touched: dict[Object, float] = {}
         self._furnish(state)
         self._at = Configuration.of(state[self._robot])
         self._places = {o: Moving(*map(float, state[o][:3])) for o in self._things}
@@ -209,7 +211,7 @@ class Bench:
         above = all(y > BENCH - OVERLAP for o in self._things for _, y in shapes[o])
         parts = self._at.parts()
         above = above and all(y > BENCH - OVERLAP for part in parts for _, y in part)
-        pairs = [(shapes[a], shapes[b]) for a, b in combinations(shapes, 2)]
+        pairs: list[tuple[Polygon, Polygon]] = [(shapes[a], shapes[b]) for a, b in combinations(shapes, 2)]
         pairs += [(part, shape) for o, shape in shapes.items() if o != self._held for part in parts]
         return inside and above and all(overlap(a, b) < OVERLAP for a, b in pairs)
 
@@ -238,8 +240,8 @@ class Bench:
         low, x0, x1 = min(w[1] for w in ways), min(w[0] for w in ways), max(w[2] for w in ways)
         near = []
         for obj, size in self._size.items():
-            place = self._places.get(obj)
-            x, y, theta = map(float, self._given[obj][:3]) if place is None else (place.x, place.y, place.theta)
+            at = self._places.get(obj)
+            x, y, theta = map(float, self._given[obj][:3]) if at is None else (at.x, at.y, at.theta)
             reach = (size[0] + size[1]) / 2 + MARGIN
             if obj != self._held and x0 - reach < x < x1 + reach and low < y + reach:
                 near.append(bounds(x, y, theta, *size))
