@@ -35,7 +35,7 @@ def test_an_installed_package_brings_domains(monkeypatch: pytest.MonkeyPatch) ->
     groups = {finding.GROUP: (entry, broken)}
     monkeypatch.setattr(finding, "entry_points", lambda group: groups[group])
     assert find_domain("theirs") == replace(DOMAINS["cornered-insertion-s"], spec="theirs")
-    with pytest.raises(UnknownNameError, match="valid: broken, cornered-insertion-s, theirs"):
+    with pytest.raises(UnknownNameError, match=r"valid: .*broken, cornered-insertion-s, .*theirs"):
         find_domain("thiers")
     with pytest.raises(ConfigError, match=r"domain 'broken' \(no_such_package:DOMAIN\): ModuleNotFoundError"):
         find_domain("broken")

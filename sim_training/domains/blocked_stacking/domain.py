@@ -1,20 +1,24 @@
 """Blocked Stacking: a robot puts one block upon another, in a vertical plane, and something is in the way.
 
 The paper's domain (appendix D), re-made. Three things can be in the way of a block, each the lesson of one stage: a
-small fixed slab over its edge, a large crate beside it, a thin wall that leans over it. The first two are away when the
-block is dragged from under them or the crate pushed aside; the given skills do neither.
+small fixed slab over its edge, a large crate beside it, a thin wall that leans over it. From under slab and wall a
+block can be dragged, and a crate can be pushed aside; the given skills do neither.
+
+Where the paper's own code has quirks, this does what a person would expect: the bench holds the robot up, what is
+pressed presses back with a bounded force, a hand is ready to grasp only where it points down, and a block that was let
+go can be grasped again.
 """
 
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 from resync_robot.core.embodiment import Embodiment, Stage
 from resync_robot.core.symbols import Type
-from resync_robot.core.task import Domain, Scenario
+from resync_robot.core.task import Domain, Scenario, Task
 from resync_robot.sim_training.domains.blocked_stacking.body import LIMITS
 from resync_robot.sim_training.domains.blocked_stacking.layouts import GOAL, UNSEEN, Layout, free
-from resync_robot.sim_training.domains.blocked_stacking.simulator import Bench
 from resync_robot.sim_training.domains.blocked_stacking.skills import RATE_HZ, skills
 from resync_robot.sim_training.domains.blocked_stacking.vocabulary import (
     CLASSIFIERS,
@@ -26,6 +30,17 @@ from resync_robot.sim_training.domains.blocked_stacking.vocabulary import (
     TYPES,
     WALL,
 )
+
+if TYPE_CHECKING:
+    from resync_robot.sim_training.domains.blocked_stacking.simulator import Bench
+
+
+def _simulate(task: Task) -> Bench:
+    # Whoever only asks what the domain is need not wait for pymunk and OpenCV.
+    from resync_robot.sim_training.domains.blocked_stacking.simulator import Bench
+
+    return Bench(task)
+
 
 TRAINING = {"0": 1, "2": 2, "8": 3}
 """Scenario -> the stage that learns from it."""
@@ -84,7 +99,7 @@ BLOCKED_STACKING = Domain(
     embodiment=Embodiment(
         actions={name: (-most, most) for name, most in LIMITS.items()},
         rate_hz=RATE_HZ,
-        simulate=Bench,
+        simulate=_simulate,
         skills=skills,
     ),
     free=free,

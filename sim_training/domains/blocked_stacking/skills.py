@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from resync_robot.core.skill import Ending, Outcome, Skill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.sim_training.domains.blocked_stacking.body import ARM, GAP, LIMITS, MIDDLE, Configuration
-from resync_robot.sim_training.domains.blocked_stacking.simulator import Felt
 from resync_robot.sim_training.domains.blocked_stacking.vocabulary import (
     BLOCK,
     DOWN,
@@ -22,6 +22,9 @@ from resync_robot.sim_training.domains.blocked_stacking.vocabulary import (
     on,
     ready_grasp,
 )
+
+if TYPE_CHECKING:
+    from resync_robot.sim_training.domains.blocked_stacking.simulator import Felt
 
 RATE_HZ = 5.0
 GENTLE = 0.8
