@@ -16,8 +16,11 @@ from resync_robot.core.symbols import Atoms, Object, Type
 from resync_robot.core.task import Domain, Task
 from resync_robot.learning.failures import lies_beside, place_beside
 from resync_robot.learning.relational_view import RelationalView
-from resync_robot.planning.execute import Model, run_skill
+from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
 from resync_robot.sim_training.failure_mining import Explanation
+
+AS_BEFORE = ExecuteSettings(max_skills=4, max_failures=1)
+"""Of a verdict that plans: what earlier stages learned takes a skill or two each."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,8 @@ class Judge:
         needs: what has to hold for it to be begun, as far as was given.
         effects: what holds once it has succeeded.
         true_atoms: the atoms of a state.
+        plan_with: all that earlier stages learned, if anything: what else is in the way they deal with, so the effects
+            are planned for, and the failed skill is not just run. None to run it.
         wherever: it has to succeed from where the robot set out, too. To be asked for where there are scenes in which
             it does: those in which nothing obstructs.
     """
@@ -37,6 +42,7 @@ class Judge:
     needs: Atoms
     effects: Atoms
     true_atoms: Callable[[State], Atoms]
+    plan_with: Model | None = None
     wherever: bool = False
 
     def __call__(self, simulator: TrainingSimulator[Any, Any], begun: State) -> bool:
@@ -63,7 +69,10 @@ class Judge:
         return succeeded
 
     def _succeeds(self, simulator: TrainingSimulator[Any, Any]) -> bool:
-        run_skill(simulator, self.failed)
+        if self.plan_with is None:
+            run_skill(simulator, self.failed)
+        else:
+            plan_and_execute(simulator, self.plan_with, self.effects, AS_BEFORE)
         return self.effects <= self.true_atoms(simulator.perceive())
 
 
@@ -162,6 +171,7 @@ def judge_of(domain: Domain, model: Model, explanation: Explanation) -> Judge:
         given.ground(explanation.objects).preconditions if given is not None else frozenset(),
         operator.ground(explanation.objects).add,
         model.abstraction.true_atoms,
+        plan_with=model if model.learned else None,
         wherever=domain.free is not None,
     )
 
