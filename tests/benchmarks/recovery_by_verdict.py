@@ -59,10 +59,10 @@ def _measured(args: argparse.Namespace, folder: Path) -> dict[str, object]:
         domain.spec, rig, mined, args.seed, args.workers, checkpoint, progress, s
     )
     learning = time.monotonic() - begun
-    found = check_recovery(domain, rig, mined, record, FRESH, args.worlds, args.workers, quiet)
-    low, high = wilson(found["picked"], found["worlds"])
     save_file({k: np.ascontiguousarray(v) for k, v in record.tensors.items()}, folder / "recovery.safetensors")
     (folder / "recovery.json").write_text(json.dumps({**record.meta, "after": after.to_json()}), encoding="utf-8")
+    found = check_recovery(domain, rig, mined, record, FRESH, args.worlds, args.workers, quiet)
+    low, high = wilson(found["picked"], found["worlds"])
     return {
         "seed": args.seed,
         **{k: v for k, v in figures.items() if k != "curve"},

@@ -134,9 +134,9 @@ def test_a_recovery_is_learned_that_opens_the_door(
 
 SHORT = RecoverySettings(
     attempts=20,
-    ppo=PpoSettings(scenes=8, steps=16, total_steps=2_560, least_steps=2_560, minibatch=64),
+    ppo=PpoSettings(scenes=32, steps=16, total_steps=10_240, least_steps=10_240, minibatch=128, anneal_steps=8_000),
     roll_outs=20,
-    width=16,
+    width=32,
 )
 
 
@@ -156,11 +156,11 @@ def test_equal_seeds_learn_the_same_and_a_run_goes_on_from_its_checkpoint(tmp_pa
     assert one.after and all(0.5 < state[S][0] < 0.8 for state in one.after)
     again = learn("one")
     assert again.figures["curve"]["steps"] == one.figures["curve"]["steps"], "it was finished"
-    longer = replace(SHORT, ppo=replace(SHORT.ppo, total_steps=3_072))
+    longer = replace(SHORT, ppo=replace(SHORT.ppo, total_steps=10_752))
     on = learn_recovery(slide(), 1, tmp_path / "one", lambda *_: None, longer)
-    assert on.figures["steps"] == 3_072
+    assert on.figures["steps"] == 10_752
     shared = learn("shared", workers=2, pose=slide)
-    assert shared.figures["verdicts"] > 20 and shared.figures["steps"] == 2_560
+    assert shared.figures["verdicts"] > 20 and shared.figures["steps"] == 10_240
 
 
 def _then_fetched(domain: Domain, judge, ground) -> int:  # type: ignore[no-untyped-def]
