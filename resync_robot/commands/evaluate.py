@@ -223,7 +223,8 @@ def evaluate(config: EvaluateConfig) -> None:
                     )
                 wins, count = sum(r.success for r in file.done.values()), len(file.done)
                 progress(count / len(jobs), f"{wins} of {count} episodes reached their goal")
-    say(table(file.found, methods, scenarios, in_words(domain, perception, skills)))
+    sources = in_words(domain, perception, skills) if domain.embodiment is None else "exact state"
+    say(table(file.found, methods, scenarios, sources))
 
 
 def _check_own_robot(config: EvaluateConfig) -> None:
