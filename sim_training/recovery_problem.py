@@ -106,7 +106,7 @@ class Direct:
         """It remembers nothing."""
 
     def see(self, runs: Sequence[None], states: Sequence[State]) -> Float[np.ndarray, "n d"]:
-        return np.stack([self.view(state) for state in states])
+        return self.view.each(states)
 
     def act(self, runs: Sequence[None], states: Sequence[State], actions: Float[np.ndarray, "n k"]) -> list[np.ndarray]:
         limits = np.array(list(self.embodiment.actions.values()))
