@@ -96,6 +96,13 @@ def see(state: State) -> np.ndarray:
     return np.array([state[S][0] - state[END][0], state[S][0] - state[P][0]])
 
 
+class _View:
+    """`see`, as the interface of a stage asks for it."""
+
+    def each(self, states: Sequence[State]) -> np.ndarray:
+        return np.stack([see(state) for state in states])
+
+
 JUDGE = Judge(GRIP_SKILL.ground((P, S)), frozenset(), frozenset({HELD(S)}), true_atoms)
 
 
@@ -103,7 +110,7 @@ def problem(starts: Sequence[Start]) -> Problem:
     """To bring the slider to where it can be gripped, in 20 actions."""
     domain = Domain("rail", (PUSHER, SLIDER, STOP), (HELD,), {}, (), {}, (STAGE,), EMBODIMENT)
     explanation = Explanation("Grip", (P, S), S, (END,))
-    return Problem(domain, EMBODIMENT, STAGE, explanation, tuple(starts), JUDGE, Direct(see, 2, EMBODIMENT))
+    return Problem(domain, EMBODIMENT, STAGE, explanation, tuple(starts), JUDGE, Direct(_View(), 2, EMBODIMENT))
 
 
 STAGE = Stage(recovery="Slide", scenario="rail", horizon=20)
