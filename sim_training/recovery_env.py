@@ -51,13 +51,13 @@ class JudgedSettings:
     confirmed: float = 0.95
     """...and share of claims that are to hold: each that does not raises that probability, each that does lowers it
     again a little."""
-    patience: int = 5
+    patience: int = 3
     """Actions after a run that failed until the next one in the same episode."""
     believed: float = 0.75
     """Share of claims that runs confirmed lately, from which on most are believed without a run..."""
     checked: float = 0.1
     """...but for this share."""
-    verdicts: float = 0.05
+    verdicts: float = 0.2
     """Most runs of the failed skill for each action that is taken, while the model can be asked instead."""
     judged_ends: float = 0.2
     """Share of the episodes that run out of time whose end is judged all the same: what the model is sure of is
