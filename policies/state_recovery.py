@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -18,7 +18,6 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import ArmObservation
-from resync_robot.learning.learned_recovery import SURE
 from resync_robot.learning.recovery_policy import STUD, ActorCritic, commanded_tip, observe, project
 from resync_robot.learning.terminals import Terminal
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
@@ -37,6 +36,8 @@ class RecoverySkillSettings:
     travel_speed: float = 0.25
     approach_speed: float = 0.10
     max_decisions: int = 150
+    sure: float = 0.5
+    """Probability of beta at which it is done, where the record names none."""
     effort_limit: tuple[float, ...] = (40.0, 40.0, 40.0, 12.0, 12.0, 12.0)
     """N m; as in training. Without it the arm can press harder than the block stands."""
     closed: float = 0.010
@@ -48,7 +49,8 @@ def recovery_skill(name: str, record: Record, rig: Rig, settings: RecoverySkillS
     """The skill of a library record, over (robot, block, box). Raises LibraryError on a broken record."""
     s = settings or RecoverySkillSettings()
     net, done = recovery_nets(record)
-    return skill_from(name, net.act, done.probability, rig, s)
+    sure = float(record.meta.get("sure", s.sure))
+    return skill_from(name, net.act, done.probability, rig, replace(s, sure=sure))
 
 
 def recovery_nets(record: Record) -> tuple[ActorCritic, Terminal]:
@@ -92,7 +94,7 @@ def _recover(
             projected = project(hand.last.state, robot, block, box, hand.position)
             with torch.no_grad():
                 seen = observe(projected)
-                if float(done(seen)) > SURE:
+                if float(done(seen)) > s.sure:
                     finished = True
                     break
                 goal = commanded_tip(projected, act(seen))[0].double().numpy()

@@ -69,6 +69,11 @@ class TrainConfig:
     """camera (default): teach the recovery to see by camera as well, at the end. state: leave it at the simulator's
     state."""
 
+    reward: Given[Literal["written", "verdict"]] = None
+    """What rewards the arm's recovery. written (default): a reward for room to the walls, as the shipped library was
+    learned by. verdict: whether the failed skill then succeeds, and nothing else, as in every other domain; this has
+    not been carried through to a camera policy yet."""
+
     stages: Given[str] = None
     """The stages to learn, by number or by the name of their recovery, separated by commas. Default: all that the
     domain declares, or those that the library of --from does not know."""
@@ -255,7 +260,9 @@ def _run(settings: RunSettings, w: int, domain: Domain, folder: RunFolder) -> No
         with folder.timed("mine"), bars.stage("mine") as progress:
             mined = stages.mine(domain, folder, preset, seed, w, progress)
         with folder.timed("recovery"), bars.stage("recover") as progress:
-            record, after = stages.learn_recovery(domain, folder, preset, mined, seed, w, progress, settings.device)
+            record, after = stages.learn_recovery(
+                domain, folder, preset, mined, seed, w, progress, settings.device, settings.reward
+            )
         with folder.timed("check"), bars.stage("check") as progress:
             if "worlds" not in folder.metrics.get("check", {}):
                 first = seed * stages.TRAINING_SEEDS + 400_000

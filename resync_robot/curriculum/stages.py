@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -20,9 +20,9 @@ from resync_robot.core.task import Domain
 from resync_robot.core.trajectory import Trajectory, read_trajectories, write_trajectories
 from resync_robot.core.vocabulary import ROBOT, TYPES
 from resync_robot.curriculum.arm_recovery import RECOVERY, learn_arm_recovery
-from resync_robot.curriculum.device_recovery import learn_on_device
 from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.stage_files import Mined, read_learned, read_mined
+from resync_robot.curriculum.written_reward import learn_by_written_reward
 from resync_robot.learning.failures import PairGaussian, find_culprit
 from resync_robot.library_models import initial_model, model_with_recovery
 from resync_robot.planning.execute import Model, run_skill
@@ -33,6 +33,7 @@ from resync_robot.sim_training.mine import Attempt, attempt_task, is_at_rest, re
 from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.physics.solver import Solver, with_solver
 from resync_robot.sim_training.physics.world import SimWorld
+from resync_robot.sim_training.ppo import PpoSettings
 
 Progress = Callable[[float, str], None]
 """Called with the share of a stage that is done and the figure that matters."""
@@ -47,6 +48,9 @@ class Preset:
     failures: int = 256
     """Size of the mined set D^F."""
     recovery: RecoverySettings = RECOVERY
+    """How it is learned by the verdict."""
+    ppo: PpoSettings = field(default_factory=PpoSettings)
+    """How it is learned by the written reward."""
     proxy_checks: int = 24
     """Fresh worlds in which the recovery is followed by the real failed skill."""
     dreams: int = 150
@@ -62,6 +66,7 @@ PRESETS = {
             roll_outs=24,
             ppo=replace(RECOVERY.ppo, total_steps=45_000, least_steps=0, stop_at=0.9),
         ),
+        ppo=PpoSettings(total_steps=45_000, least_steps=0, stop_at=0.9),
         proxy_checks=4,
         dreams=24,
         attempts=12,
@@ -72,6 +77,7 @@ PRESETS = {
         recovery=replace(
             RECOVERY, ppo=replace(RECOVERY.ppo, total_steps=2_000_000, least_steps=1_000_000, stop_at=0.999)
         ),
+        ppo=PpoSettings(total_steps=2_000_000, least_steps=1_000_000, stop_at=0.999),
         proxy_checks=200,
         dreams=600,
         attempts=2000,
@@ -171,10 +177,12 @@ def learn_recovery(
     workers: int,
     progress: Progress,
     device: str = "cpu",
+    reward: str = "written",
 ) -> tuple[Record, PairGaussian]:
     """PPO on the mined failures, its terminal functions, and the Gaussian of states after it.
 
     Args:
+        reward: "verdict" or "written".
         device: where PPO's scenes and networks live; what it learned is then tried out on the CPU in any case.
     """
     weights, meta = folder.stages / "recovery.safetensors", folder.stages / "recovery.json"
@@ -186,11 +194,11 @@ def learn_recovery(
         def shown(steps: int, budget: int, rate: float) -> None:
             progress(steps / budget, f"success {rate:.3f} after {steps // 1000} k steps")
 
-        if device == "cpu":
+        if reward == "verdict":
             made = learn_arm_recovery(domain.spec, folder.rig, mined, seed, workers, checkpoint, shown, preset.recovery)
         else:
-            made = learn_on_device(
-                domain, folder.rig, mined, seed, workers, checkpoint, shown, preset.recovery.ppo, device
+            made = learn_by_written_reward(
+                domain, folder.rig, mined, seed, workers, checkpoint, shown, preset.ppo, device
             )
         record, after, figures = made
         with whole(weights) as beside:

@@ -82,6 +82,7 @@ class LearnedRecovery:
             "failed_skill": self.failed_skill,
             "arguments": list(self.arguments),
             "horizon": self.horizon,
+            "sure": SURE,
             "policy": self.policy.shape,
             "terminal": self.done.to_record().meta,
         }

@@ -90,7 +90,7 @@ class RenderedRecovery:
         self.scanned = self._scan(start.task.initial)
         self.sent, self._last = self._place_arm()
         self.x = self._failure = self._state()
-        self.leans = False
+        self.previous = self.x
 
     @property
     def yaw(self) -> float:
@@ -111,7 +111,7 @@ class RenderedRecovery:
         q = self._worlds.joints_at(lagging(command, before, self.lag), self._zero)[0]
         self._built.approach(self._last, q, 0.0, CONTROL_PERIOD)
         self._last, self.sent = q, np.asarray(goal, dtype=np.float64)
-        self.x = self._state()
+        self.previous, self.x = self.x, self._state()
 
     def reach(self, wanted: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Where the tip is really sent if it is wanted there."""
@@ -139,8 +139,7 @@ class RenderedRecovery:
         before = self.start.task.initial
         now = before.with_features(self.start.block, x=block[0], y=block[1])
         self.scanned = self._scan(before if self._scan_rng.random() < REMEMBERED else now)
-        self.leans = self._rng.random() < TILTED
-        if self.leans:
+        if self._rng.random() < TILTED:
             # Small leans are the ones that something can still be done about.
             pose = tilted(pose, block[7], block[9], int(self._rng.integers(4)), np.pi / 2 * self._rng.random() ** 2)
         self._body.entity.set_pose(sapien.Pose(pose))
@@ -149,7 +148,7 @@ class RenderedRecovery:
         self._last = self._worlds.joints_at(torch.as_tensor(self.sent, dtype=torch.float32)[None], self._zero)[0]
         self._built.set_configuration(self._last, 0.0)
         self._before = None
-        self.x = self._state()
+        self.x = self.previous = self._state()
 
     def _scan(self, state: State) -> Scanned:
         """What a scan would tell of `state`, with its errors."""

@@ -26,33 +26,13 @@ from resync_robot.learning.camera_view import (
     state_seen,
     to_hand,
 )
-from resync_robot.learning.learned_recovery import SURE
-from resync_robot.learning.recovery_policy import LAG, up_axis
+from resync_robot.learning.recovery_policy import up_axis
 from resync_robot.sim_training.demonstrations.recoveries import RenderedRecovery, Seen
 from resync_robot.sim_training.demonstrations.starts import Start
+from resync_robot.sim_training.recovery import RecoverySettings, is_recovered, is_tipped
 
-TIPPED = 0.90
-"""Upward part of the block's upward axis below which a rollout is given up: nobody drags a block that lies."""
-
-
-@dataclass(frozen=True)
-class Teacher:
-    """A finished recovery, over (n, 19) observations of exact states.
-
-    Attributes:
-        act: -> (n, 3) actions.
-        done: -> (n,) probability that nothing is left to do.
-        lag: most control steps that the arm it acts through is behind its commands.
-    """
-
-    act: Callable[[Tensor], Tensor]
-    done: Callable[[Tensor], Tensor]
-    lag: float = LAG
-
-    def recovered(self, x: Tensor) -> list[bool]:
-        """Of (n, 27) projected states."""
-        with torch.no_grad():
-            return (self.done(recovery_policy.observe(x)) > SURE).tolist()
+Teacher = Callable[[Tensor], Tensor]
+"""(n, 19) observations of exact states -> (n, 3) actions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,6 +197,7 @@ def demonstrate(
     starts: Sequence[Start],
     rig: Rig,
     teacher: Teacher,
+    recovery: RecoverySettings,
     seed: int,
     student: CameraPolicy | None = None,
     settings: RolloutSettings | None = None,
@@ -231,20 +212,23 @@ def demonstrate(
     runs = []
     for i, start in enumerate(starts):
         steps = 0 if student is None else int(rng.integers(*s.drive))
-        runs.append(_Run(RenderedRecovery(start, rig, teacher.lag, seed + i, s.picture), s, steps, seed + i))
+        runs.append(_Run(RenderedRecovery(start, rig, recovery.lag, seed + i, s.picture), s, steps, seed + i))
     while any(not r.over for r in runs):
         driven = [r for r in runs if r.with_student]
         if student is not None:
             seen = _advance_students(driven, student)
             for r, o in zip(driven, seen, strict=True):
-                r.lead_in(o, teacher.recovered(_narrower(r.scene.x, s.margin))[0])
+                x, before = (_narrower(v, s.margin) for v in (r.scene.x, r.scene.previous))
+                r.lead_in(o, bool(is_recovered(x, before, recovery)))
                 r.call_teacher()
         taught = [r for r in runs if not r.over and r not in driven]
         if taught:
             x = _narrower(torch.cat([r.scene.x for r in taught]), s.margin)
+            previous = torch.cat([r.scene.previous for r in taught])
             with torch.no_grad():
-                actions = teacher.act(recovery_policy.observe(x))
-            recovered, tipped = teacher.recovered(x), (up_axis(x)[:, 2] < TIPPED).tolist()
+                actions = teacher(recovery_policy.observe(x))
+            recovered = is_recovered(x, previous, recovery).tolist()
+            tipped = is_tipped(x, recovery).tolist()
             for r, action, done, fallen in zip(taught, actions, recovered, tipped, strict=True):
                 r.teach(action, done)
                 r.over |= fallen
@@ -265,7 +249,7 @@ def _narrower(x: Tensor, margin: float) -> Tensor:
 def look_around(
     starts: Sequence[Start],
     rig: Rig,
-    teacher: Teacher,
+    recovery: RecoverySettings,
     seed: int,
     each: int = 3,
     settings: RolloutSettings | None = None,
@@ -278,15 +262,13 @@ def look_around(
     s = settings or RolloutSettings()
     found: list[tuple[np.ndarray, np.ndarray, bool, np.ndarray]] = []
     for i, start in enumerate(starts):
-        scene = RenderedRecovery(start, rig, teacher.lag, seed + i, s.picture)
+        scene = RenderedRecovery(start, rig, recovery.lag, seed + i, s.picture)
         for _ in range(each if scene.stands else 0):
             scene.freeze(random)
             x = _narrower(scene.x, s.margin)
             seen = scene.see()
             state = state_seen(seen.q, seen.tip, scene.sent, scene.yaw, scene.scanned)
-            # On an edge, a block falls as soon as time goes on.
-            recovered = teacher.recovered(x)[0] and not scene.leans
-            found.append((seen.pictures, state, recovered, scene.block()))
+            found.append((seen.pictures, state, bool(is_recovered(x, x, recovery)), scene.block()))
     if not found:
         return None
     n = len(found)
@@ -344,14 +326,14 @@ def try_student(
     starts: Sequence[Start],
     rig: Rig,
     student: CameraPolicy,
-    teacher: Teacher,
+    recovery: RecoverySettings,
     seed: int,
     settings: RolloutSettings | None = None,
 ) -> list[Trial | None]:
     """The student alone, stopped by its own word, as it is deployed; None where a scene fell over at once."""
     s = settings or RolloutSettings()
     runs = [
-        _Run(RenderedRecovery(start, rig, teacher.lag, seed + i, student.picture), s, s.student_horizon, seed + i)
+        _Run(RenderedRecovery(start, rig, recovery.lag, seed + i, student.picture), s, s.student_horizon, seed + i)
         for i, start in enumerate(starts)
     ]
     trials: list[Trial | None] = [None] * len(runs)
@@ -362,7 +344,7 @@ def try_student(
                 continue
             stopped = r.said_done >= DONE_IN_A_ROW
             if stopped or step == s.student_horizon - 1:
-                recovered = teacher.recovered(r.scene.x)[0]
+                recovered = bool(is_recovered(r.scene.x, r.scene.previous, recovery))
                 trials[i], r.over = Trial(recovered, stopped, step), True
             else:
                 r.scene.step(r.goal)

@@ -31,6 +31,7 @@ from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.physics.randomise import LOOKS
 from resync_robot.sim_training.physics.solver import REFERENCE, with_solver
+from resync_robot.sim_training.recovery import RecoverySettings
 from tests.libraries import gaussians_of
 
 FRESH = 950_000_000
@@ -51,8 +52,7 @@ def _context(path: Path) -> tuple[Library, Teacher, CameraPolicy, dict[str, Pair
             (Path(folder) / name).write_bytes(data)
         student = load_student(Path(folder))
     gaussians = gaussians_of(library)
-    net, done = recovery_nets(record)
-    return library, Teacher(net.act, done.probability), student, gaussians
+    return library, recovery_nets(record)[0].act, student, gaussians
 
 
 def _both(context, job: tuple[str, int, bool]) -> list[tuple[bool, bool, bool]]:  # type: ignore[no-untyped-def]
@@ -63,8 +63,8 @@ def _both(context, job: tuple[str, int, bool]) -> list[tuple[bool, bool, bool]]:
     starts = [draw_start(domain, gaussians, first + i, LOOKS[looks], failed_only=True) for i in range(BATCH)]
     if reference:
         starts = [replace(start, task=with_solver(start.task, REFERENCE)) for start in starts]
-    taught = demonstrate(starts, rig, teacher, first, settings=ALONE)
-    trials = try_student(starts, rig, student, teacher, first)
+    taught = demonstrate(starts, rig, teacher, RecoverySettings(), first, settings=ALONE)
+    trials = try_student(starts, rig, student, RecoverySettings(), first)
     return [(bool(s), t.success, t.stopped) for s, t in zip(taught, trials, strict=True) if t is not None]
 
 

@@ -1,4 +1,4 @@
-"""The recovery of the cornered block on a GPU: ManiSkill's scenes by the thousand, with a reward written by hand."""
+"""The recovery of the cornered block by a reward written by hand: in processes, or by the thousand on a GPU."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from resync_robot.sim_training.recovery import RecoverySettings, draw_still, is_
 from resync_robot.sim_training.vector_env import RecoveryScenes
 
 
-def learn_on_device(
+def learn_by_written_reward(
     domain: Domain,
     rig: Rig,
     mined: Mined,
