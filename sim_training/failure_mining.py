@@ -35,14 +35,15 @@ class FailedAttempt:
         task: in which it happened.
         before: the state in which the skill was begun.
         state: where the skill left everything.
-        skill: C^F, with its objects.
+        skill, objects: C^F, by its name, and what it was applied to.
         run_into: what the robot, or what it held, met last, and how hard: N, or 1.
     """
 
     task: Task
     before: State
     state: State
-    skill: GroundSkill
+    skill: str
+    objects: tuple[Object, ...]
     run_into: Mapping[Object, float]
 
 
@@ -104,7 +105,7 @@ def attempt(embodiment: Embodiment, task: Task, model: Model) -> FailedAttempt |
     if not result.transitions or result.transitions[-1].succeeded or heard.ended is None:
         return None
     skill, run_into = heard.ended
-    return FailedAttempt(task, result.transitions[-1].before, simulator.perceive(), skill, run_into)
+    return FailedAttempt(task, result.transitions[-1].before, simulator.perceive(), skill.name, skill.objects, run_into)
 
 
 def mine_stage(
@@ -136,8 +137,8 @@ def explain(domain: Domain, failures: Sequence[FailedAttempt]) -> Explanation:
     Raises:
         TrainingError: nothing was run into in at least half of the failures.
     """
-    (skill, objects), _ = Counter((f.skill.name, f.skill.objects) for f in failures).most_common(1)[0]
-    alike = [f for f in failures if (f.skill.name, f.skill.objects) == (skill, objects)]
+    (skill, objects), _ = Counter((f.skill, f.objects) for f in failures).most_common(1)[0]
+    alike = [f for f in failures if (f.skill, f.objects) == (skill, objects)]
     met = Counter(obj for f in alike for obj, force in f.run_into.items() if force > 0 and obj != objects[0])
     blamed = [obj for obj, times in met.most_common() if times >= MOST_BLAMED * len(alike)]
     if not blamed:

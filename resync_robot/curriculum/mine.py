@@ -88,7 +88,7 @@ def mine(
                 found.append((seed, failed))
             tell(len(found) / count, f"{len(found)} failures in {tried} tasks")
     explanation = explain(domain, [f for _, f in found])
-    alike = [(s, f) for s, f in found if f.skill.name == explanation.skill and f.skill.objects == explanation.objects]
+    alike = [(s, f) for s, f in found if (f.skill, f.objects) == (explanation.skill, explanation.objects)]
     write_json(
         path,
         {

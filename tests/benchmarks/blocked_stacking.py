@@ -71,8 +71,8 @@ def recovers(found: FailedAttempt, actions: Actions, frames: list[np.ndarray] | 
     if frames is not None:
         frames.append(world.picture())
     run_skill(world, found.skill)
-    operator = next(o for o in DOMAIN.operators if o.name == found.skill.name)
-    return operator.ground(found.skill.objects).add <= MODEL.abstraction.true_atoms(world.perceive())
+    operator = next(o for o in DOMAIN.operators if o.name == found.skill)
+    return operator.ground(found.objects).add <= MODEL.abstraction.true_atoms(world.perceive())
 
 
 def strip(frames: Sequence[np.ndarray], path: Path, x: float) -> None:
@@ -137,7 +137,7 @@ def scripted(worlds: int, pictures: Path | None) -> None:
             frames: list[np.ndarray] | None = [] if pictures is not None and i < 2 else None
             done += recovers(found, actions, frames)
             if frames and pictures is not None:
-                strip(frames, pictures / f"scripted-{name}-{i}.png", found.state[found.skill.objects[1]][0])
+                strip(frames, pictures / f"scripted-{name}-{i}.png", found.state[found.objects[1]][0])
         print(f"{name}: {done} of {worlds} by {len(actions)} scripted actions in scenario {scenario}")
 
 

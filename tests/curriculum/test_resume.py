@@ -17,7 +17,7 @@ from resync_robot import cli
 from resync_robot.core.damage import AGAIN
 from resync_robot.core.rig import load_rig
 from resync_robot.curriculum import stages
-from resync_robot.sim_training import learn_recovery
+from resync_robot.sim_training import block_recovery
 from tests.curriculum.test_run_folder import other_rig
 from tests.run_folders import DAMAGES, copy_of, files_of, make_run
 
@@ -45,7 +45,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def idle(monkeypatch: pytest.MonkeyPatch) -> None:
     """All that takes long raises instead."""
     monkeypatch.setattr(stages, "parallel_map", work_on)
-    monkeypatch.setattr(learn_recovery, "_opened", work)
+    monkeypatch.setattr(block_recovery, "_make_scenes", work)
     monkeypatch.setattr("resync_robot.learning.concepts.learn_concepts", work)
 
 

@@ -57,7 +57,7 @@ def test_failures_without_contact_explain_nothing(domain: Domain, failures: list
     untouched = [replace(f, run_into={}) for f in failures]
     with pytest.raises(TrainingError, match="ran into nothing at all"):
         explain(domain, untouched)
-    robot = [replace(f, run_into={f.skill.objects[0]: 5.0}) for f in failures]
+    robot = [replace(f, run_into={f.objects[0]: 5.0}) for f in failures]
     with pytest.raises(TrainingError, match="no object explains"):
         explain(domain, robot)
 

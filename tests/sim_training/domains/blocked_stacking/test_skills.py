@@ -35,7 +35,7 @@ def test_what_is_in_the_way_is_what_the_skill_fails_on(name: str) -> None:
     found = attempt(DOMAIN, draw(name, 7), MODEL)
     assert found is not None
     at_grasp = {kind for kind, host in OBSTRUCTED[name].items() if host == "grasp"}
-    assert found.skill.name == ("ReachToGrasp" if at_grasp else "ReachToPlace")
+    assert found.skill == ("ReachToGrasp" if at_grasp else "ReachToPlace")
     assert found.run_into and {o.type for o in found.run_into} <= (at_grasp or set(OBSTRUCTED[name]))
     # A state that learning can begin in.
     assert Bench(found.task).reset(found.state)
