@@ -91,7 +91,7 @@ def dream(
             tell(finished / len(specs), f"{solved} of {lived} dreams solved")
         write_trajectories(path, found)
     trajectories = _read(paths, domain)
-    folder.record("dream", {"sources" if name == "dreams" else name: tally(trajectories)})
+    folder.record("dream", {name: tally(trajectories)})
     return trajectories
 
 

@@ -12,12 +12,12 @@ from resync_robot.core.embodiment import Stage
 from resync_robot.core.errors import ConfigError, TrainingError, UnknownNameError
 from resync_robot.core.library import LearnedStage, Library, Record, load_library, save_library
 from resync_robot.core.rig import Rig
-from resync_robot.core.symbols import Type
+from resync_robot.core.symbols import Object, Type
 from resync_robot.core.task import Domain
 from resync_robot.core.trajectory import Trajectory
 from resync_robot.curriculum.context import Known
 from resync_robot.curriculum.dream import dream, earlier_dreams
-from resync_robot.curriculum.mine import mine
+from resync_robot.curriculum.mine import Mined, mine
 from resync_robot.curriculum.plots import draw_learning_curve
 from resync_robot.curriculum.presets import STAGE_PRESETS, StagePreset
 from resync_robot.curriculum.recover import check, recover
@@ -25,14 +25,16 @@ from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.concepts import learn_concepts
 from resync_robot.learning.dataset import StageData
-from resync_robot.learning.failures import FailureModel
+from resync_robot.learning.failures import FailureModel, PairGaussian
 from resync_robot.learning.model import Concepts
 from resync_robot.library_models import known_concepts, make_library
 
-STEPS = ("mine", "recover", "check", "dream", "discover", "save")
+STEPS = ("mine", "recover", "check", "dream", "discover", "dream again", "discover again", "save")
+"""Of a stage. What was discovered first is tried in dreams, too: what the planner then does that nobody has tried, such
+as to recover with a full hand, tells what is still missing."""
 TRAINING_SEEDS = 1_000_000
 """Each training seed owns this many world seeds from seed * TRAINING_SEEDS on; evaluation draws from elsewhere."""
-STAGE_SEEDS, STEP_SEEDS = 100_000, 15_000
+STAGE_SEEDS, STEP_SEEDS = 100_000, 12_000
 """Of these each stage, and each of its steps, owns so many."""
 Watch = Callable[[str], Any]
 """A step's name -> a context that yields its `Tell`, for the progress bars."""
@@ -188,31 +190,32 @@ class _Stage:
         with self._step("check") as tell:
             seeds = c.seeds(number, "check")[: budgets.checks]
             after = check(able, able.open(), stage, folder, mined, seeds, workers, tell)
-        about = mined.explanation
-        newest = FailureModel(
-            recovery=stage.recovery,
-            skill=about.skill,
-            argument=about.objects.index(about.relevant) if about.relevant in about.objects else None,
-            relevant=about.relevant.type,
-            causes=about.culprits,
-            before=mined.before,
-            after=after,
-        )
+        newest = _failure(stage, mined, after)
         before = self._library.stages if self._library is not None else ()
         failures = (*(FailureModel.from_learned(s.recovery, s.failure, domain) for s in before), newest)
         scenarios = (*(s.scenario for s in before), stage.scenario)
+        about = domain, failures, scenarios, folder
         with self._step("dream") as tell:
             seeds, count = c.seeds(number, "dream"), budgets.dreams_of(number)
-            dreams = dream(able, domain, failures, scenarios, folder, seeds, count, budgets.attempts, workers, tell)
-        types = tuple(o.type for o in about.parameters)
-        own = StageData(stage.recovery, types, about.skill, dreams)
+            dreams = dream(able, *about, seeds, count, budgets.attempts, workers, tell)
+        types = tuple(o.type for o in mined.explanation.parameters)
+
+        def fed(trajectories: Sequence[Trajectory]) -> StageData:
+            return StageData(stage.recovery, types, newest.skill, trajectories)
+
         if folder.figures("save") and (folder.library / "library.json").exists():
-            return load_library(folder.library), own
+            return load_library(folder.library), fed(earlier_dreams(domain, folder.library))
         with self._step("discover") as tell:
-            concepts = self._discover([*data, own], tell)
+            concepts = self._discover([*data, fed(dreams)], tell)
+        with self._step("dream again") as tell:
+            first = Known(domain=domain.spec, rig=c.rig, library=self._made(record, newest, concepts))
+            seeds, count = c.seeds(number, "dream again"), budgets.again_of(number)
+            dreams = [*dreams, *dream(first, *about, seeds, count, 0, workers, tell, name="dreams-again")]
+        with self._step("discover again") as tell:
+            concepts = self._discover([*data, fed(dreams)], tell)
             folder.record("discover", {"report": concepts.report})
         with self._step("save"):
-            return self._save(record, newest, concepts), own
+            return self._save(self._made(record, newest, concepts)), fed(dreams)
 
     @contextmanager
     def _step(self, name: str) -> Iterator[Tell]:
@@ -234,17 +237,35 @@ class _Stage:
             raise TrainingError(f"no operator was learned for {name}", "train with more dreams: --preset full")
         return concepts
 
-    def _save(self, record: Record, failure: FailureModel, concepts: Concepts) -> Library:
-        c, folder, stage = self._c, self._folder, self._stage
-        curve = folder.figures("recover")["curve"]
+    def _made(self, record: Record, failure: FailureModel, concepts: Concepts) -> Library:
+        """All that is known with these concepts."""
+        c, stage = self._c, self._stage
         learned = LearnedStage(
             recovery=stage.recovery,
             scenario=stage.scenario,
             failure=failure.to_learned(),
-            figures=folder.all_figures,
+            figures=self._folder.all_figures,
         )
-        library = make_library(c.domain, c.rig, learned, record, concepts, c.provenance, known=self._library)
+        return make_library(c.domain, c.rig, learned, record, concepts, c.provenance, known=self._library)
+
+    def _save(self, library: Library) -> Library:
+        folder = self._folder
         save_library(library, folder.library)
         folder.record("save", {"content_hash": library.content_hash})
-        draw_learning_curve(curve, folder.path / "recovery.png", 0, c.budgets.recovery.ppo.stop_at)
+        curve, stop_at = folder.figures("recover")["curve"], self._c.budgets.recovery.ppo.stop_at
+        draw_learning_curve(curve, folder.path / "recovery.png", 0, stop_at)
         return library
+
+
+def _failure(stage: Stage, mined: Mined, after: Mapping[Object, PairGaussian]) -> FailureModel:
+    """What the stage knows about its failure."""
+    about = mined.explanation
+    return FailureModel(
+        recovery=stage.recovery,
+        skill=about.skill,
+        argument=about.objects.index(about.relevant) if about.relevant in about.objects else None,
+        relevant=about.relevant.type,
+        causes=about.culprits,
+        before=mined.before,
+        after=after,
+    )
