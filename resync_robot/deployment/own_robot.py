@@ -46,7 +46,7 @@ class OwnRobot:
 
     def truth(self) -> State:
         """Where everything is. Never moves the robot, as `perceive` may."""
-        state: State = self.simulator.observe(live=True).state
+        state: State = self.simulator.observe(True).state
         return state
 
     def glimpse(self) -> Glimpse:

@@ -54,8 +54,11 @@ def _scenes(episode: Episode) -> Iterator[rrb.View]:
         contents = ["$origin/**", *hidden]
         yield rrb.Spatial3DView(origin="world", contents=contents, name="Scene", background=BACKGROUND)
     if SE2 in poses:
-        bounds = plane.bounds(episode)
-        yield rrb.Spatial2DView(origin="plane", name="Scene from above", background=BACKGROUND, visual_bounds=bounds)
+        edges = plane.bounds(episode)
+        shown = (
+            None if edges is None else rrb.VisualBounds2D(x_range=edges[:, 0].tolist(), y_range=edges[:, 1].tolist())
+        )
+        yield rrb.Spatial2DView(origin="plane", name="Scene from above", background=BACKGROUND, visual_bounds=shown)
 
 
 def _arm_tabs() -> Iterator[rrb.Container]:

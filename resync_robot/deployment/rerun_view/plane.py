@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
+from jaxtyping import Float
 
 from resync_robot.core.episode import Episode
 from resync_robot.core.solids import outline
@@ -85,8 +85,8 @@ def _closed(obj: Object, features: np.ndarray) -> np.ndarray:
     return np.concatenate([corners, corners[:1]])
 
 
-def bounds(episode: Episode) -> rrb.VisualBounds2D | None:
-    """What a view has to show so that everything is in it at any time; None where there is nothing."""
+def bounds(episode: Episode) -> Float[np.ndarray, "2 2"] | None:
+    """Least and greatest x and y, m, y downwards, between which everything is at any time; None where nothing is."""
     corners = [
         outline(obj, state[obj]) * FLIP
         for states in (episode.states(), episode.truths())
@@ -99,5 +99,4 @@ def bounds(episode: Episode) -> rrb.VisualBounds2D | None:
     points = np.concatenate(corners)
     low, high = points.min(0), points.max(0)
     margin = MARGIN * max(float((high - low).max()), 0.1)
-    (left, top), (right, bottom) = (low - margin).tolist(), (high + margin).tolist()
-    return rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom))
+    return np.stack([low - margin, high + margin])
