@@ -38,7 +38,7 @@ class ReviewConfig:
     """Write the episode as a film to this .mp4 file, or to this .webp, an animated picture for a page: the robot at its
     task, the pictures of its cameras, the plan, what holds, and the time. Needs no display; half a second to a second
     of computing a frame, of which there are 15 (.webp: 8) a second. A robot of the domain's own is shown as its
-    simulator drew it when it was recorded, and takes a tenth of that."""
+    simulator drew it, which takes a tenth of that."""
 
     speed: float = 1.0
     """How many times as fast as the robot the film runs."""

@@ -34,10 +34,11 @@ def blueprint(episode: Episode) -> rrb.Blueprint:
         rrb.TextDocumentView(origin="about", name="About"),
         active_tab=0,
     )  # fmt: skip
-    scene = rrb.Vertical(*_scenes(episode))
-    right: Iterable[rrb.Container | rrb.View] = [rrb.Horizontal(*cameras), tabs] if cameras else [tabs]
+    scenes = list(_scenes(episode))
+    rows: Iterable[rrb.Container | rrb.View] = [rrb.Horizontal(*cameras), tabs] if cameras else [tabs]
+    right = rrb.Vertical(*rows, row_shares=[2, 3] if cameras else [1])
     return rrb.Blueprint(
-        rrb.Horizontal(scene, rrb.Vertical(*right, row_shares=[2, 3] if cameras else [1]), column_shares=[3, 2]),
+        rrb.Horizontal(rrb.Vertical(*scenes), right, column_shares=[3, 2]) if scenes else right,
         rrb.TimePanel(timeline="time", state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

@@ -117,6 +117,7 @@ def test_the_view_is_as_large_as_what_moves_in_it(tmp_path: Path) -> None:
         (OBJECTS, {"2D"}),
         ({"c": "cube"}, {"3D"}),
         ({**OBJECTS, "c": "cube"}, {"2D", "3D"}),
+        ({"m": "mood"}, set()),
     ],
 )
 def test_a_view_for_each_kind_of_pose(tmp_path: Path, objects: dict[str, str], views: set[str]) -> None:
