@@ -27,7 +27,7 @@ def shipped_library(domain: str) -> Path:
     path = Path(__file__).parent / "shipped" / domain
     if not path.exists():
         raise LibraryError(
-            f"no library comes with the program for '{domain}'",
+            f"no library folder comes with the program for '{domain}'",
             "give one with --library; train one: resync-robot train-sim --domain DOMAIN",
         )
     return path
