@@ -54,5 +54,8 @@ def test_it_needs_a_library_of_its_own(
     scenario = ["--scenario" if command == "deploy" else "--scenarios", "open"]
     assert cli.main([command, "--domain", str(PUCK_FILE), *scenario]) == 2
     told = capsys.readouterr().err
-    assert "no library folder comes with the program for 'puck-behind-a-door'" in told and "give one with --library" in told
+    assert (
+        "no library folder comes with the program for 'puck-behind-a-door'" in told
+        and "give one with --library" in told
+    )
     assert not any(tmp_path.iterdir())

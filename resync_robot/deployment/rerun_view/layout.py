@@ -59,7 +59,7 @@ def _scenes(episode: Episode) -> Iterator[rrb.View]:
         shown = (
             None if edges is None else rrb.VisualBounds2D(x_range=edges[:, 0].tolist(), y_range=edges[:, 1].tolist())
         )
-        yield rrb.Spatial2DView(origin="plane", name="Scene from above", background=BACKGROUND, visual_bounds=shown)
+        yield rrb.Spatial2DView(origin="plane", name="Scene in the plane", background=BACKGROUND, visual_bounds=shown)
 
 
 def _arm_tabs() -> Iterator[rrb.Container]:

@@ -1,4 +1,4 @@
-"""Things in the plane from above, as they are believed to be and as they are.
+"""Things in a plane, seen from above or from the side, as they are believed to be and as they are.
 
 Rerun's 2D views count y downwards, so that it is drawn with its sign changed.
 """
@@ -23,7 +23,7 @@ PALETTE = (
 )  # fmt: skip
 """Of types, in the order in which the domain has them."""
 BELIEF = (240, 150, 40)
-BELIEF_LINE, BODY_LINE = -1.0, -2.5
+BELIEF_LINE, BODY_LINE = -0.5, -2.5
 """px by Rerun's convention: half widths of lines."""
 MARGIN = 0.05
 """Around everything, as a share of its size."""

@@ -1,4 +1,4 @@
-"""What moves in a plane is drawn from above: in its place, of its size, under its name, in a view of its own."""
+"""What moves in a plane is drawn in it: in its place, of its size, under its name, in a view of its own."""
 
 from __future__ import annotations
 
