@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from resync_robot.core.episode import Answer, Ask, Episode
 from resync_robot.core.errors import EpisodeError, ResyncError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.state import State
-from resync_robot.core.vocabulary import TYPES
+from resync_robot.core.symbols import Type
 
 ALIKE = 1e-3
 """rad of a joint, or m of the opening, by which a target may differ from the recorded one: the same program on another
@@ -44,7 +44,7 @@ class Answers:
     """
 
     def __init__(self, episode: Episode) -> None:
-        self.path = episode.path
+        self.path, self._types = episode.path, episode.types
         self._told = list(episode.answers())
         if not self._told:
             raise EpisodeError(
@@ -103,7 +103,7 @@ class Answers:
 
     def content(self, answer: Answer) -> Content:
         """Its details, for reading."""
-        return Content(answer, f"{self.path}: the answer of {self.now:.3f} s makes no sense")
+        return Content(answer, f"{self.path}: the answer of {self.now:.3f} s makes no sense", self._types)
 
     def _next_is(self, ask: Ask) -> bool:
         return bool(self.left) and self._told[self._given][1].ask is ask
@@ -125,8 +125,8 @@ class Answers:
 class Content:
     """Reads an answer's details; raises EpisodeError for what is missing or of another kind."""
 
-    def __init__(self, answer: Answer, what: str) -> None:
-        self._details, self._what = answer.details, what
+    def __init__(self, answer: Answer, what: str, types: Mapping[str, Type]) -> None:
+        self._details, self._what, self._types = answer.details, what, types
 
     def vector(self, name: str, length: int) -> Float[np.ndarray, " n"]:
         return self._read(name, lambda value: np.array(value, dtype=np.float64).reshape(length))
@@ -138,7 +138,7 @@ class Content:
         return self._read(name, bool)
 
     def state(self, name: str) -> State:
-        return self._read(name, lambda value: State.from_json(value, TYPES))
+        return self._read(name, lambda value: State.from_json(value, self._types))
 
     def _read(self, name: str, read: Callable[[Any], Any]) -> Any:
         try:

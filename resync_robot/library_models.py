@@ -23,8 +23,14 @@ from resync_robot.planning.pddl import domain_to_pddl
 
 
 def shipped_library(domain: str) -> Path:
-    """Where the library lies that comes with the program."""
-    return Path(__file__).parent / "shipped" / domain
+    """Where the library lies that comes with the program. Raises LibraryError where none does."""
+    path = Path(__file__).parent / "shipped" / domain
+    if not path.exists():
+        raise LibraryError(
+            f"no library folder comes with the program for '{domain}'",
+            "give one with --library; train one: resync-robot train-sim --domain DOMAIN",
+        )
+    return path
 
 
 def embodiment_of(domain: Domain, rig: Rig | None) -> Embodiment:

@@ -10,7 +10,9 @@ import torch
 
 from resync_robot.core.library import LearnedFailure, LearnedStage, Library, Record
 from resync_robot.core.rig import load_rig
+from resync_robot.core.task import Domain
 from resync_robot.learning.failures import PairGaussian
+from resync_robot.learning.learned_recovery import LearnedRecovery
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, ActorCritic
 from resync_robot.learning.terminals import Terminal
 from resync_robot.planning.pddl import domain_to_pddl
@@ -68,4 +70,34 @@ def given_library() -> Library:
         skills={domain.recovery: recovery_record()},
         stages=(LearnedStage(recovery=domain.recovery, scenario="s0", failure=cornered({}, {})),),
         provenance={"seed": 0},
+    )
+
+
+def own_library(domain: Domain) -> Library:
+    """The same of a domain with a robot of its own, for its first stage."""
+    stage = domain.stages[0]
+    failed, cause = domain.operators[0], domain.fixed[0] if domain.fixed else domain.types[-1]
+    types = (*(v.type for v in failed.parameters), cause)
+    recovery = LearnedRecovery(
+        name=stage.recovery,
+        types=types,
+        sees=len(types),
+        failed_skill=failed.name,
+        arguments=tuple(range(len(failed.parameters))),
+        horizon=stage.horizon,
+        policy=ActorCritic(width=8, depth=1, observations=4, actions=3),
+        done=Terminal(4),
+    )
+    failure = LearnedFailure(
+        skill=failed.name, argument=1, objects={cause.name: cause.name}, before={cause.name: {}}, after={cause.name: {}}
+    )
+    return Library(
+        domain=domain.name,
+        rig_hash="",
+        domain_pddl=domain_to_pddl(domain.name, domain.types, domain.predicates, domain.operators),
+        predicates={},
+        skills={stage.recovery: recovery.to_record()},
+        stages=(LearnedStage(recovery=stage.recovery, scenario=stage.scenario, failure=failure),),
+        provenance={"seed": 0},
+        types_hash=domain.types_hash,
     )

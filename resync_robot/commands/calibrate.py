@@ -75,7 +75,7 @@ def calibrate(config: CalibrateConfig) -> int:
         return cameras.hand_eye(what)
     if what.live:
         from resync_robot.calibrating.live_overlay import live
-        from resync_robot.deployment.rerun_view import save_pictures
+        from resync_robot.deployment.rerun_view.drawing import save_pictures
 
         return live(what, save_pictures)
     return cameras.check(what)

@@ -126,6 +126,7 @@ def evaluate(config: EvaluateConfig) -> None:
         ResyncError: bad input, or a library that cannot be used.
     """
     from resync_robot import __version__
+    from resync_robot.commands.own_robot import check_own_robot
     from resync_robot.commands.sources import evaluated_sources, in_words
     from resync_robot.console import Stages, say
     from resync_robot.core.library import load_library
@@ -156,7 +157,15 @@ def evaluate(config: EvaluateConfig) -> None:
         check_range("--horizon", config.horizon, 1, MOST_STEPS)
     domain = find_domain(config.domain)
     if domain.embodiment is not None:
-        _check_own_robot(config)
+        check_own_robot(
+            {
+                "--rig": config.rig is not None,
+                "--perception camera": config.perception == "camera",
+                "--skills camera": config.skills == "camera",
+                f"--worlds {config.worlds}": config.worlds not in ("usual", "unseen"),
+                f"--physics {config.physics}": config.physics != "shipped",
+            }
+        )
     rig = load_rig(config.rig) if domain.embodiment is None else None
     methods, scenarios = _methods(config.methods), _scenarios(config.scenarios, domain)
     seeds = count_once("seed", config.seeds)
@@ -225,20 +234,6 @@ def evaluate(config: EvaluateConfig) -> None:
                 progress(count / len(jobs), f"{wins} of {count} episodes reached their goal")
     sources = in_words(domain, perception, skills) if domain.embodiment is None else "exact state"
     say(table(file.found, methods, scenarios, sources))
-
-
-def _check_own_robot(config: EvaluateConfig) -> None:
-    """What a domain with a robot of its own has no use for. Raises ConfigError."""
-    for option, given in (
-        ("--rig", config.rig is not None),
-        ("--perception camera", config.perception == "camera"),
-        ("--skills camera", config.skills == "camera"),
-        (f"--worlds {config.worlds}", config.worlds not in ("usual", "unseen")),
-        (f"--physics {config.physics}", config.physics != "shipped"),
-    ):
-        if given:
-            what = f"{option} is for domains of the arm, and this one has a robot of its own"
-            raise ConfigError(what, "leave it out")
 
 
 @contextmanager

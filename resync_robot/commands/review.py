@@ -9,12 +9,17 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
 from resync_robot.core.errors import ConfigError, EpisodeError
 from resync_robot.core.files import MCAP, RRD, check_output
 from resync_robot.given import Given
+
+if TYPE_CHECKING:
+    from resync_robot.core.episode import Episode
+    from resync_robot.deployment.film import Frames
 
 _log = logging.getLogger(__name__)
 
@@ -32,7 +37,8 @@ class ReviewConfig:
     video: Given[Path] = None
     """Write the episode as a film to this .mp4 file, or to this .webp, an animated picture for a page: the robot at its
     task, the pictures of its cameras, the plan, what holds, and the time. Needs no display; half a second to a second
-    of computing a frame, of which there are 15 (.webp: 8) a second."""
+    of computing a frame, of which there are 15 (.webp: 8) a second. A robot of the domain's own is shown as its
+    simulator drew it, which takes a tenth of that."""
 
     speed: float = 1.0
     """How many times as fast as the robot the film runs."""
@@ -74,7 +80,7 @@ def review(config: ReviewConfig) -> None:
         )
     # Rerun, numpy and OpenCV take a second to load; `--help` shall not wait for them.
     from resync_robot.core.episode import read_episode
-    from resync_robot.deployment.rerun_view import save_drawing
+    from resync_robot.deployment.rerun_view.drawing import save_drawing
 
     episode = read_episode(config.episode)
     if episode.damage is not None:
@@ -106,7 +112,6 @@ def _check_there(path: Path) -> None:
 def _film(config: ReviewConfig) -> None:
     from resync_robot.console import Stages, say
     from resync_robot.core.episode import read_episode
-    from resync_robot.core.recorded_rig import RecordedRig
     from resync_robot.deployment import film
 
     if config.video is not None:
@@ -119,19 +124,28 @@ def _film(config: ReviewConfig) -> None:
     at = episode.duration / 2 if config.at is None else config.at
     if not 0 <= at <= episode.duration:
         raise ConfigError(f"--at {at:g} is not from 0 to {episode.duration:.1f}, the length of the episode in s")
-    # SAPIEN takes a second to load.
-    from resync_robot.sim_training.scenes.film import FilmScene
-
-    rig = RecordedRig.of(episode)
     if config.picture is not None:
-        scene = FilmScene(rig, *film.STILL)
-        film.write_picture(film.Film(episode, scene).scene(at, plain=True), config.picture)
+        film.write_picture(_frames(episode, film.STILL).scene(at, plain=True), config.picture)
         say(f"Picture: {config.picture}")
     if config.video is not None:
-        made = film.Film(episode, FilmScene(rig, *film.SCENE, film.KINDS[config.video.suffix].finer))
+        made = _frames(episode, film.SCENE, film.KINDS[config.video.suffix].finer)
         with Stages(["film"]) as stages, stages.stage("film") as progress:
             film.write_film(made, config.video, config.speed, progress)
         say(f"Film: {config.video}")
+
+
+def _frames(episode: Episode, size: tuple[int, int], finer: float = 2.0) -> Frames:
+    """Of an arm, rendered; of a domain's own robot, its simulator's pictures. Raises EpisodeError or RenderError."""
+    from resync_robot.core.recorded_rig import RecordedRig
+    from resync_robot.deployment.film import Film
+    from resync_robot.deployment.own_film import OwnFilm
+
+    if not episode.meta.rig:
+        return OwnFilm(episode)
+    # SAPIEN takes a second to load.
+    from resync_robot.sim_training.scenes.film import FilmScene
+
+    return Film(episode, FilmScene(RecordedRig.of(episode), *size, finer))
 
 
 def _mend(torn: Path, out: Path) -> None:

@@ -92,6 +92,7 @@ def train(config: TrainConfig) -> None:
         ResyncError: bad input, a run folder that another process writes or whose files are damaged, a full disk, or a
             stage that cannot produce what the next one needs.
     """
+    from resync_robot.commands.own_robot import check_own_robot
     from resync_robot.console import say
     from resync_robot.core.files import check_folder, write_json
     from resync_robot.core.lock import LOCK, sole_writer
@@ -108,7 +109,13 @@ def train(config: TrainConfig) -> None:
     if config.library is not None:
         given["library"] = str(config.library.resolve())
     if domain.embodiment is not None:
-        _check_own_robot(config)
+        check_own_robot(
+            {
+                "--rig": config.rig is not None,
+                "--device cuda": config.device == "cuda",
+                "--skills camera": config.skills == "camera",
+            }
+        )
         given["skills"] = "state"
     elif config.stages is not None or config.library is not None:
         option = "--stages" if config.stages is not None else "--from"
@@ -213,20 +220,6 @@ def _check_renderer() -> None:
         require_renderer()
     except RenderError as error:
         raise RenderError(error.what, f"{error.fix}; or leave the camera policy out with --skills state") from None
-
-
-def _check_own_robot(config: TrainConfig) -> None:
-    """What a domain with a robot of its own has no use for. Raises ConfigError."""
-    given = {
-        "--rig": config.rig,
-        "--device cuda": config.device == "cuda",
-        "--skills camera": config.skills == "camera",
-    }
-    for option, value in given.items():
-        if value:
-            raise ConfigError(
-                f"{option} is for domains of the arm, and this one has a robot of its own", "leave it out"
-            )
 
 
 def _quiet_threads() -> None:

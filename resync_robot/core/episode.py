@@ -2,7 +2,7 @@
 
 | channel | message |
 |---|---|
-| /meta | EpisodeMeta: rig, library, domain, scenario, goal, seed, versions, frames, date; first, and again at the end |
+| /meta | EpisodeMeta: rig, library, domain, scenario, goal, seed, versions, types, date; first, and again at the end |
 | /joints | measured, commanded (sent) and requested joints and openings |
 | /tip_force | force on the hand, N, world frame |
 | /state | the belief about the objects, `State.to_json` |
@@ -22,7 +22,8 @@ All are messages of ROS 2, so that rosbag2 and its relatives open the file as it
 std_msgs/String of JSON, whose schema stands in the channel's `json_schema`. For Foxglove, RViz and Rerun the same once
 more as they draw it: /robot_description and /tf_static (both latched), /joint_states, /joint_commands, /tf, /wrench,
 /belief_markers, /truth_markers, /camera/NAME/{camera_info,depth_mm}, /plan_text, /atoms_text, /rosout, /latency.
-`core.robot_description` has the tree of their frames.
+`core.robot_description` has the tree of their frames. Of a domain with a robot of its own there is no rig: neither
+joints nor their frames are told, and /camera/scene/film has the pictures of its simulator.
 
 Times are seconds from the beginning of the episode. The file has them as ns of the wall clock, so that recordings lie
 beside other logs of that day; the date of the beginning is in /meta and nowhere else. `core.episode_writer` writes such
@@ -37,6 +38,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -52,12 +54,16 @@ from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.mcap_file import WholeRecords, read_whole, write_whole
 from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
+from resync_robot.core.symbols import Type
 from resync_robot.core.vocabulary import TYPES
 
-FORMAT = 4
+FORMAT = 5
 """1 had pictures as plain JPEG, and nothing of ROS 2; in 2 no date was told, and times in the file began at 0; up to 3
-JSON stood in the file as such, and each camera and joint had a frame in the world."""
-READABLE = (2, 3, 4)
+JSON stood in the file as such, and each camera and joint had a frame in the world; up to 4 the types of objects were
+not told."""
+READABLE = (2, 3, 4, 5)
+SCENE_VIEW = "scene"
+"""The camera by whose name a simulator's own pictures are recorded."""
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MOST = 8
 """Spans of missing seconds that a message tells one by one."""
@@ -126,13 +132,14 @@ class EpisodeMeta:
     """What a recording needs to be understood on its own.
 
     Attributes:
-        rig: the rig file's content as plain JSON, see `EpisodeMeta.of`.
+        rig: the rig file's content as plain JSON, see `EpisodeMeta.of`; empty for a domain with a robot of its own.
         library_hash: content hash of the library used, '' without one.
         goal: text of the goal's atoms.
         versions: package or program -> version.
         frames: frame name -> its definition.
         began: date and time of the beginning in UTC, as ISO 8601 has it; the epoch where nobody told.
         objects: name -> type, in the order in which the task has them.
+        types: name -> `Type.to_json`, of all types of the domain.
         settings: of the deployment, by the names of `DeployConfig`: those that change what is asked of the world.
     """
 
@@ -149,6 +156,7 @@ class EpisodeMeta:
     began: str = EPOCH.isoformat()
     objects: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    types: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def began_ns(self) -> int:
@@ -352,6 +360,14 @@ class Episode:
         more = f", and {len(spans) - MOST} times more" if len(spans) > MOST else ""
         return f"{self.damage}; something is missing {', '.join(spans[:MOST])}{more}"
 
+    @cached_property
+    def types(self) -> Mapping[str, Type]:
+        """Of its objects, by name; an older recording has those of the arm. Raises EpisodeError."""
+        try:
+            return {name: Type.from_json(name, data) for name, data in self.meta.types.items()} or TYPES
+        except (AttributeError, KeyError, TypeError, ValueError, ResyncError) as error:
+            raise EpisodeError(f"{self.path}: the types in /meta make no sense: {error}") from None
+
     @property
     def duration(self) -> float:
         """Time of the latest message, s."""
@@ -457,7 +473,7 @@ class Episode:
     def _states(self, topic: str) -> Iterator[tuple[float, State]]:
         for time, m in self._read(topic):
             with self._sense(topic, time):
-                state = State.from_json(m["objects"], TYPES)
+                state = State.from_json(m["objects"], self.types)
             yield time, state
 
     def _sense(self, topic: str, time: float) -> _Sense:

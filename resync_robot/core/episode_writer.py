@@ -81,8 +81,8 @@ class EpisodeWriter:
                 f"{path} exists already; recordings are never overwritten", "give another name"
             ) from None
         self._writer = begin_file(self._file)
-        self._began_ns, self._robot = meta.began_ns, RobotDescription(meta.rig)
-        self._frames = {child for _, child, _ in self._robot.fixed}
+        self._began_ns, self._robot = meta.began_ns, RobotDescription(meta.rig) if meta.rig else None
+        self._frames = {child for _, child, _ in self._robot.fixed} if self._robot else set()
         self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._thread.start()
@@ -338,8 +338,10 @@ class EpisodeWriter:
     def _describe(self, time: float) -> None:
         """What the episode is about, and the robot in it."""
         self._json("/meta", time, self._meta, flush=True)
-        self._ros("/robot_description", STRING, time, partial(ros_messages.string, self._robot.urdf))
-        self.defer(lambda: self._place(time, self._robot.fixed))
+        if self._robot is not None:
+            fixed, urdf = self._robot.fixed, self._robot.urdf
+            self._ros("/robot_description", STRING, time, partial(ros_messages.string, urdf))
+            self.defer(lambda: self._place(time, fixed))
 
     def _place(self, time: float, poses: list[tuple[str, str, np.ndarray]]) -> None:
         """Frames that do not move."""
@@ -350,7 +352,8 @@ class EpisodeWriter:
         kind, stamp = "sensor_msgs/msg/JointState", self._stamp(time)
         self._write("/joint_states", kind, time, ros_messages.joint_state(stamp, JOINTS, q, qd))
         self._write("/joint_commands", kind, time, ros_messages.joint_state(stamp, JOINTS, command, np.empty(0)))
-        self._write("/tf", "tf2_msgs/msg/TFMessage", time, ros_messages.transforms(stamp, self._robot.moving(q)))
+        if self._robot is not None:
+            self._write("/tf", "tf2_msgs/msg/TFMessage", time, ros_messages.transforms(stamp, self._robot.moving(q)))
 
     def _draw_scene(
         self, topic: str, time: float, state: State, colour: tuple[float, float, float, float], outlined: bool

@@ -1,4 +1,4 @@
-"""Of what boxes an object is made, for drawings."""
+"""Of what boxes an object is made, and its outline in the plane, for drawings."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from jaxtyping import Float
 from resync_robot.core import spatial
 from resync_robot.core.ros_messages import Marker
 from resync_robot.core.state import State
-from resync_robot.core.symbols import SE3, Object
+from resync_robot.core.symbols import ROUND, SE3, Object
 from resync_robot.core.vocabulary import BOX
 
 FLOOR = 0.002
 """m; half of how thick the floor of a box is drawn, for nobody measures it."""
+CIRCLE = 48
+"""Corners of an outline that is round."""
 LETTERS = 0.03
 """m; height of an object's name."""
 
@@ -34,6 +36,21 @@ def boxes(obj: Object, features: Float[np.ndarray, "f"]) -> tuple[Float[np.ndarr
         slabs.append(((sign * (inner_x + thick) / 2, 0, wall_z / 2), (thick / 2, outer_y / 2, wall_z / 2)))
         slabs.append(((0, sign * (inner_y + thick) / 2, wall_z / 2), (inner_x / 2, thick / 2, wall_z / 2)))
     return np.array([s[0] for s in slabs]), np.array([s[1] for s in slabs])
+
+
+def outline(obj: Object, features: Float[np.ndarray, "f"]) -> Float[np.ndarray, "n 2"]:
+    """Corners in the plane, m, of an object with a pose there: round, or a rectangle; without extents its place."""
+    x, y, theta = features[:3]
+    if not obj.type.extents:
+        return np.array([[x, y]])
+    if obj.type.symmetry == ROUND:
+        angles = np.arange(CIRCLE) * 2 * np.pi / CIRCLE
+        corners = np.stack([np.cos(angles), np.sin(angles)], -1)
+    else:
+        corners = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+    local = corners * features[[obj.type.features.index(name) for name in obj.type.extents]] / 2
+    cos, sin = np.cos(theta), np.sin(theta)
+    return local @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
 
 
 def scene_markers(state: State, colour: tuple[float, float, float, float], outlined: bool) -> list[Marker]:

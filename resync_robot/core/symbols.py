@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from resync_robot.core.errors import PlanningError
 
@@ -64,6 +65,29 @@ class Type:
     def dimensions(self) -> int:
         """Of the space that its pose is in: 3, 2, or 0 for what has no place. So many features are its position."""
         return 0 if self.pose is None else 3 if self.pose == SE3 else 2
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, for files. `from_json` is the inverse."""
+        return {
+            "features": list(self.features),
+            "pose": None if self.pose is None else list(self.pose),
+            "extents": list(self.extents),
+            "symmetry": self.symmetry,
+            "exact": self.exact,
+        }
+
+    @staticmethod
+    def from_json(name: str, data: Mapping[str, Any]) -> Type:
+        """Raises KeyError, TypeError, ValueError or PlanningError where these are no such values."""
+        pose = data["pose"]
+        return Type(
+            name,
+            tuple(map(str, data["features"])),
+            pose=None if pose is None else tuple(pose),
+            extents=tuple(data["extents"]),
+            symmetry=int(data["symmetry"]),
+            exact=bool(data["exact"]),
+        )
 
     def __call__(self, name: str) -> Object:
         return Object(name, self)

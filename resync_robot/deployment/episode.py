@@ -10,14 +10,17 @@ from typing import TYPE_CHECKING
 from resync_robot.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from contextlib import AbstractContextManager
+    from typing import Any
 
-    from resync_robot.core.episode import Episode, EpisodeMeta
+    from resync_robot.core.episode import Episode
     from resync_robot.core.library import Library
     from resync_robot.core.rig import Rig
-    from resync_robot.core.task import Task
-    from resync_robot.core.world import Glimpse
+    from resync_robot.core.state import State
+    from resync_robot.core.task import Domain, Task
+    from resync_robot.core.world import Glimpse, World
+    from resync_robot.deployment.recorder import Recorder
     from resync_robot.deployment.replayed_episode import Replayed
     from resync_robot.deployment.settings import DeployConfig
     from resync_robot.hardware.base import Halt, ProtectiveStopError
@@ -92,8 +95,69 @@ class EpisodeOutcome:
         return words
 
 
+@dataclass(frozen=True)
+class Course:
+    """How the part of an episode went in which the robot may act.
+
+    Attributes:
+        reached: whether the goal holds, in truth where that can be had.
+        fix: what to do about it.
+        ending: what ends the program with the episode.
+        broken_off: what broke it off; None where it came to an end by itself.
+    """
+
+    result: EpisodeResult
+    reached: bool
+    fix: str = ""
+    ending: BaseException | None = None
+    broken_off: BaseException | None = None
+
+
+def carry_out(
+    config: DeployConfig,
+    model: Model,
+    task: Task,
+    before: tuple[tuple[str, tuple[str, ...]], ...],
+    recorder: Recorder,
+    truth: Callable[[], State] | None,
+    open_world: Callable[[], World[Any, Any]],
+) -> Course:
+    """Begin as the scenario says, plan and execute to whatever end; the recorder hears of it all.
+
+    Args:
+        before: what is run before the episode begins, see `Scenario.begins_after`.
+        truth: the simulator's own state; None where nobody knows it.
+    """
+    from resync_robot.core.errors import MotionError, PerceptionError
+    from resync_robot.hardware.answers import Departure, RecordingOverError
+    from resync_robot.hardware.base import RobotError
+    from resync_robot.planning.execute import EpisodeEnd, EpisodeResult, ExecuteSettings, begin_after, plan_and_execute
+    from resync_robot.signals import let_through
+
+    try:
+        with let_through():
+            world = open_world()
+            steps = [f"{name}({', '.join(of)})" for name, of in before]
+            if not config.dry_run and all(not config.confirm or may_run(step) for step in steps):
+                begin_after(world, model, before, task.objects, recorder)
+            result = plan_and_execute(world, model, task.goal, ExecuteSettings(plan_only=config.dry_run), recorder)
+            # What the robot believes at the end does not count where the truth can be had.
+            reached = result.success and (truth is None or task.goal <= model.abstraction.true_atoms(truth()))
+        no_plan = result.end is EpisodeEnd.NO_PLAN and not result.transitions
+        return Course(result, reached, "See what it saw in the recording, or give another --goal." if no_plan else "")
+    except BaseException as error:
+        result = EpisodeResult(*_end(error), (), (), task.initial)
+        recorder.on_end(result.end, result.reason)
+        # The trouble of one episode is recorded with it, and leaves the others their turn.
+        if isinstance(error, PerceptionError | MotionError | RobotError):
+            return Course(result, False, error.fix, None, error)
+        ending = None if isinstance(error, Departure | RecordingOverError) else error
+        return Course(result, False, "", ending, error)
+
+
 def run_episode(
     config: DeployConfig,
+    domain: Domain,
     rig: Rig,
     library: Library,
     model: Model,
@@ -104,38 +168,21 @@ def run_episode(
     segmenter: Segmenter | None,
 ) -> EpisodeOutcome:
     """Run one episode to whatever end; the robot is let go and the recording closed then."""
-    from resync_robot import __version__
     from resync_robot.console import say
     from resync_robot.core.episode import EpisodeMeta, EventKind
     from resync_robot.core.episode_writer import EpisodeWriter
-    from resync_robot.core.errors import MotionError, PerceptionError
     from resync_robot.deployment.devices import open_simulated
     from resync_robot.deployment.recorder import Recorder
-    from resync_robot.deployment.replayed_episode import ReplayRecorder, judge, settings_of
+    from resync_robot.deployment.replayed_episode import ReplayRecorder, judge
     from resync_robot.deployment.uncertain_atoms import with_sampled_atoms
     from resync_robot.deployment.world import DeployedWorld, OracleWorld
-    from resync_robot.hardware.answers import Departure, RecordingOverError
-    from resync_robot.hardware.base import Halt, RealtimeRobot, RobotError
+    from resync_robot.hardware.base import Halt, RealtimeRobot
     from resync_robot.hardware.devices import Layout, ReplayedDevices, open_replay, open_ur7e
-    from resync_robot.planning.execute import EpisodeEnd, EpisodeResult, ExecuteSettings, begin_after, plan_and_execute
     from resync_robot.signals import let_through
-    from resync_robot.sim_training.domains import find_domain
 
-    scenario = find_domain(config.domain).scenarios.get(config.scenario)
+    scenario = domain.scenarios.get(config.scenario)
     before = scenario.begins_after if scenario else ()
-    goal = ", ".join(map(str, sorted(task.goal)))
-    meta = EpisodeMeta.of(
-        rig,
-        library_hash=library.content_hash,
-        domain=config.domain,
-        scenario=config.scenario,
-        goal=goal,
-        seed=task.seed,
-        backend=config.backend,
-        versions={"resync-robot": __version__},
-        objects={o.name: o.type.name for o in task.objects},
-        settings=settings_of(config),
-    )
+    meta = EpisodeMeta.of(rig, domain=config.domain, **about(config, domain, library, task))
     if config.backend == "sim":
         opened: AbstractContextManager[Devices] = open_simulated(task, rig)
     elif recording is not None:
@@ -146,7 +193,7 @@ def run_episode(
         # The devices come first: where there is no robot, no recording is left behind.
         with let_through():
             devices = stack.enter_context(opened)
-        writer = stack.enter_context(EpisodeWriter(path, _dated(meta), devices.clock()))
+        writer = stack.enter_context(EpisodeWriter(path, meta, devices.clock()))
         film, film_hz = film_of(config, devices)
         recorder = (Recorder if recording is None else ReplayRecorder)(
             writer,
@@ -155,10 +202,10 @@ def run_episode(
             film,
             film_hz,
             live=isinstance(devices.robot, RealtimeRobot),
-            confirm=lambda step: not config.confirm or _may_run(str(step)),
+            confirm=lambda step: not config.confirm or may_run(str(step)),
             tell=say,
         )
-        kind = DeployedWorld if config.perception == "camera" else OracleWorld
+        kind = OracleWorld if config.perception == "oracle" else DeployedWorld
 
         def on_stop(error: ProtectiveStopError) -> None:
             writer.event(devices.clock(), EventKind.STOP, error.what)
@@ -167,68 +214,65 @@ def run_episode(
             devices.resume()
 
         model = with_sampled_atoms(model)
-        say(f"Goal: {goal}")
-        reached, ending, fix, broken_off = False, None, "", None
+
+        def open_world() -> World[Any, Any]:
+            world = kind(
+                devices.robot,
+                devices.cameras,
+                rig,
+                task.objects,
+                live_state=devices.live,
+                witness=recorder,
+                on_stop=on_stop,
+                abstraction=model.abstraction,
+                segmenter=segmenter,
+                stream=devices.stream,
+                ready=devices.ready,
+            )
+            world.stream.recorders.append(recorder.on_stream)
+            return world
+
+        say(f"Goal: {meta.goal}")
         if recording is not None and isinstance(recorder, ReplayRecorder) and isinstance(devices, ReplayedDevices):
             recorder.compare_with(recording, devices.answers)
-        try:
-            with let_through():
-                world = kind(
-                    devices.robot,
-                    devices.cameras,
-                    rig,
-                    task.objects,
-                    live_state=devices.live,
-                    witness=recorder,
-                    on_stop=on_stop,
-                    abstraction=model.abstraction,
-                    segmenter=segmenter,
-                    stream=devices.stream,
-                    ready=devices.ready,
-                )
-                world.stream.recorders.append(recorder.on_stream)
-                steps = [f"{name}({', '.join(of)})" for name, of in before]
-                if not config.dry_run and all(not config.confirm or _may_run(step) for step in steps):
-                    begin_after(world, model, before, task.objects, recorder)
-                result = plan_and_execute(world, model, task.goal, ExecuteSettings(plan_only=config.dry_run), recorder)
-                # What the robot believes at the end does not count where the truth can be had.
-                reached = result.success and (
-                    devices.truth is None or task.goal <= model.abstraction.true_atoms(devices.truth())
-                )
-            if result.end is EpisodeEnd.NO_PLAN and not result.transitions:
-                fix = 'See what it saw in the recording, or give another --goal, such as --goal "On(b1,b0)".'
-        except BaseException as error:
-            result = EpisodeResult(*_end(error), (), (), task.initial)
-            recorder.on_end(result.end, result.reason)
-            broken_off = error
-            # The trouble of one episode is recorded with it, and leaves the others their turn.
-            if isinstance(error, PerceptionError | MotionError | RobotError):
-                fix = error.fix
-            elif not isinstance(error, Departure | RecordingOverError):
-                ending = error
+        course = carry_out(config, model, task, before, recorder, devices.truth, open_world)
+        result, reached = course.result, course.reached
         recorder.let_go()
         halt = None if devices.halt is None else devices.halt()
         if halt is not None:
             recorder.on_halt(halt)
         replayed = None
         if recording is not None and isinstance(devices, ReplayedDevices):
-            replayed = judge(recording, devices.answers, result.end, result.reason, broken_off)
-    fix = BEWARE if halt is Halt.UNKNOWN else fix
-    return EpisodeOutcome(result, reached, recorder.skills, halt, writer.error is None, ending, fix, replayed)
+            replayed = judge(recording, devices.answers, result.end, result.reason, course.broken_off)
+    fix = BEWARE if halt is Halt.UNKNOWN else course.fix
+    return EpisodeOutcome(result, reached, recorder.skills, halt, writer.error is None, course.ending, fix, replayed)
+
+
+def about(config: DeployConfig, domain: Domain, library: Library, task: Task) -> Mapping[str, Any]:
+    """What `EpisodeMeta` says of an episode that begins now, but for its robot and where its domain is found."""
+    from datetime import UTC, datetime
+
+    from resync_robot import __version__
+    from resync_robot.deployment.replayed_episode import settings_of
+
+    return {
+        "library_hash": library.content_hash,
+        "scenario": config.scenario,
+        "goal": ", ".join(map(str, sorted(task.goal))),
+        "seed": task.seed,
+        "backend": config.backend,
+        "versions": {"resync-robot": __version__},
+        "began": datetime.now(UTC).isoformat(),
+        "objects": {o.name: o.type.name for o in task.objects},
+        "settings": settings_of(config),
+        "types": {t.name: t.to_json() for t in domain.types},
+    }
 
 
 def film_of(config: DeployConfig, devices: Devices) -> tuple[tuple[Callable[[], Glimpse], ...], float]:
     """What is filmed, and how often, Hz."""
     hz = devices.film_hz if config.record_pictures is None else config.record_pictures
     return (devices.film, hz) if hz else ((), devices.film_hz)
-
-
-def _dated(meta: EpisodeMeta) -> EpisodeMeta:
-    """It begins now."""
-    from dataclasses import replace
-    from datetime import UTC, datetime
-
-    return replace(meta, began=datetime.now(UTC).isoformat())
 
 
 def _end(error: BaseException) -> tuple[EpisodeEnd, str]:
@@ -242,7 +286,7 @@ def _end(error: BaseException) -> tuple[EpisodeEnd, str]:
     return EpisodeEnd.FAULT, error.what if isinstance(error, ResyncError) else f"{type(error).__name__}: {error}"
 
 
-def _may_run(step: str) -> bool:
+def may_run(step: str) -> bool:
     """Ask. Raises ConfigError where nobody can answer."""
     try:
         return input(f"Run {step}? [y/N] ").strip().lower() in ("y", "yes")

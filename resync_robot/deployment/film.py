@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from io import BytesIO
@@ -80,8 +81,65 @@ class Scene(Protocol):
     def pixels(self, points: np.ndarray) -> np.ndarray: ...
 
 
-class Film:
-    """The frames of an episode.
+class Frames(ABC):
+    """The frames of an episode: its scene, the pictures of its cameras beside it, plan and atoms below.
+
+    Args:
+        cameras: whose pictures are shown; without any, the scene is as wide as the frame.
+
+    Raises:
+        EpisodeError: a message makes no sense.
+    """
+
+    def __init__(self, episode: Episode, cameras: Sequence[str]) -> None:
+        self.duration = episode.duration
+        self._moments = plan_progress(episode)
+        self._atoms = list(episode.atoms())
+        self._pictures = {name: [(p.time, p.colour) for p in episode.pictures(name)] for name in cameras}
+        self._size = SCENE if cameras else (WIDTH, SCENE[1])
+        meta = episode.meta
+        self._title = "   ".join(part for part in (meta.domain, meta.scenario, f"goal: {meta.goal}") if part)
+
+    @abstractmethod
+    def scene(self, time: float, plain: bool = False) -> UInt8[np.ndarray, "h w 3"]:
+        """The scene alone, labelled; unless it is to be plain."""
+
+    def frame(self, time: float, speed: float = 1.0) -> UInt8[np.ndarray, "h w 3"]:
+        """RGB of the whole frame at `time`."""
+        frame = np.empty((HEIGHT, WIDTH, 3), np.uint8)
+        frame[:] = panels.BACKGROUND
+        frame[:BAR] = panels.header(self._title, time, speed, WIDTH, BAR)
+        width, height = self._size
+        frame[BAR : BAR + height, :width] = self.scene(time)
+        below, plan = HEIGHT - BAR - height, width * PLAN_WIDTH // SCENE[0]
+        frame[BAR + height :, :plan] = panels.plan_panel(progress_at(self._moments, time), plan, below)
+        frame[BAR + height :, plan:width] = panels.atoms_panel(self._atoms_at(time), width - plan, below)
+        across, down = WIDTH - width - 2 * GAP, (HEIGHT - BAR) // max(3, len(self._pictures)) - GAP
+        for i, name in enumerate(self._pictures):
+            top = BAR + i * (down + GAP)
+            frame[top : top + down, width + GAP : width + GAP + across] = self._tile(name, time, across, down)
+        return frame
+
+    def _tile(self, name: str, time: float, width: int, height: int) -> UInt8[np.ndarray, "h w 3"]:
+        pictures = self._pictures[name]
+        i = bisect_right(pictures, time, key=lambda p: p[0]) - 1
+        data = pictures[i][1] if i >= 0 else None
+        if data is None:
+            return panels.tile(None, f"{name} camera: no picture yet", width, height)
+        picture = decoded(data)
+        if picture is None:
+            return panels.tile(None, f"{name} camera: the picture is damaged", width, height)
+        age = time - pictures[i][0]
+        label = f"{name} camera" + (f", {age:.0f} s ago" if age > OLD_S else "")
+        return panels.tile(picture, label, width, height)
+
+    def _atoms_at(self, time: float) -> Mapping[str, float]:
+        i = bisect_right(self._atoms, time, key=lambda a: a[0]) - 1
+        return self._atoms[i][1] if i >= 0 else {}
+
+
+class Film(Frames):
+    """The frames of an episode of an arm.
 
     Args:
         scene: of SCENE's size.
@@ -91,7 +149,8 @@ class Film:
     """
 
     def __init__(self, episode: Episode, scene: Scene) -> None:
-        self._scene, self.duration = scene, episode.duration
+        super().__init__(episode, episode.cameras)
+        self._scene, self._size = scene, SCENE
         self._joints = _thinned(episode)
         self._times = [j.time for j in self._joints]
         rig = RecordedRig.of(episode)
@@ -101,28 +160,7 @@ class Film:
         self._belief = Tracks(beliefs, np.array(self._times), tips)
         self._shown = Tracks(truths, np.array(self._times), tips) if truths else self._belief
         self._knows = bool(truths)
-        self._moments = plan_progress(episode)
-        self._atoms = list(episode.atoms())
-        self._pictures = {name: [(p.time, p.colour) for p in episode.pictures(name)] for name in episode.cameras}
-        meta = episode.meta
-        self._title = "   ".join(part for part in (meta.domain, meta.scenario, f"goal: {meta.goal}") if part)
         self._last: tuple[bytes, np.ndarray] | None = None
-
-    def frame(self, time: float, speed: float = 1.0) -> UInt8[np.ndarray, "h w 3"]:
-        """RGB of the whole frame at `time`."""
-        frame = np.empty((HEIGHT, WIDTH, 3), np.uint8)
-        frame[:] = panels.BACKGROUND
-        frame[:BAR] = panels.header(self._title, time, speed, WIDTH, BAR)
-        width, height = SCENE
-        frame[BAR : BAR + height, :width] = self.scene(time)
-        below = HEIGHT - BAR - height
-        frame[BAR + height :, :PLAN_WIDTH] = panels.plan_panel(progress_at(self._moments, time), PLAN_WIDTH, below)
-        frame[BAR + height :, PLAN_WIDTH:width] = panels.atoms_panel(self._atoms_at(time), width - PLAN_WIDTH, below)
-        across, down = WIDTH - width - 2 * GAP, (HEIGHT - BAR) // max(3, len(self._pictures)) - GAP
-        for i, name in enumerate(self._pictures):
-            top = BAR + i * (down + GAP)
-            frame[top : top + down, width + GAP : width + GAP + across] = self._tile(name, time, across, down)
-        return frame
 
     def scene(self, time: float, plain: bool = False) -> UInt8[np.ndarray, "h w 3"]:
         """The scene alone; unless it is to be plain, with a label, and with the blocks as they are believed to be."""
@@ -151,23 +189,6 @@ class Film:
             cv2.polylines(picture, [cv2.convexHull(px)], True, panels.BELIEF, 2, cv2.LINE_AA, 4)
         return bool(believed)
 
-    def _tile(self, name: str, time: float, width: int, height: int) -> UInt8[np.ndarray, "h w 3"]:
-        pictures = self._pictures[name]
-        i = bisect_right(pictures, time, key=lambda p: p[0]) - 1
-        data = pictures[i][1] if i >= 0 else None
-        if data is None:
-            return panels.tile(None, f"{name} camera: no picture yet", width, height)
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-        if picture is None:
-            return panels.tile(None, f"{name} camera: the picture is damaged", width, height)
-        age = time - pictures[i][0]
-        label = f"{name} camera" + (f", {age:.0f} s ago" if age > OLD_S else "")
-        return panels.tile(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), label, width, height)
-
-    def _atoms_at(self, time: float) -> Mapping[str, float]:
-        i = bisect_right(self._atoms, time, key=lambda a: a[0]) - 1
-        return self._atoms[i][1] if i >= 0 else {}
-
     def _joints_at(self, time: float) -> Joints:
         return self._joints[max(0, bisect_right(self._times, time) - 1)]
 
@@ -181,6 +202,12 @@ def _thinned(episode: Episode) -> list[Joints]:
     if not shown:
         raise EpisodeError(f"{episode.path} holds no joints to show", "record one with resync-robot deploy")
     return shown
+
+
+def decoded(data: bytes) -> UInt8[np.ndarray, "h w 3"] | None:
+    """RGB of an encoded picture; None where it is damaged."""
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    return None if picture is None else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def check_film(path: Path, recording: Path, speed: float) -> None:
@@ -220,7 +247,7 @@ def frame_times(duration: float, speed: float, rate: int) -> Iterator[float]:
     yield from [duration] * round(HELD_S * rate)
 
 
-def write_film(film: Film, path: Path, speed: float, progress: Callable[[float, str], None]) -> None:
+def write_film(film: Frames, path: Path, speed: float, progress: Callable[[float, str], None]) -> None:
     """Encode the film as the suffix says: .mp4 (H.264, which everything plays) or .webp (an animated picture).
 
     The same recording gives the same bytes on one machine.

@@ -23,7 +23,9 @@ from resync_robot.planning.search import Plan
 _log = logging.getLogger(__name__)
 CLOUD_POINTS = 6000
 TRUTH_EVERY = 1.0
-"""s between two moments at which a simulator is asked where everything is."""
+"""s between two moments at which an arm's simulator is asked where everything is."""
+EARLY_S = 1e-6
+"""By which a moment may come early, for sums of steps are rounded."""
 JPEG_QUALITY = 80
 """Of films, which people look at."""
 
@@ -37,6 +39,7 @@ class Recorder(Listener):
         cameras: what each sees is filmed while the arm moves. Nobody who asks a camera for a picture gets another one
             for it, and a replay needs none of this.
         film_hz: how often.
+        states_every: s between two moments at which `truth` is asked, and of which `on_seen` keeps the state.
         live: time goes on by itself, so `cameras` and `truth` are asked on the recording's thread, beside the stream;
             not while it is still busy with the time before.
         confirm: asked before each step.
@@ -50,13 +53,14 @@ class Recorder(Listener):
         truth: Callable[[], State] | None = None,
         cameras: Sequence[Callable[[], Glimpse]] = (),
         film_hz: float = 10.0,
+        states_every: float = TRUTH_EVERY,
         live: bool = False,
         confirm: Callable[[GroundOperator], bool] = lambda step: True,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         self._writer, self._clock, self._truth, self._confirm = writer, clock, truth, confirm
         self._cameras, self._period, self._next_look = cameras, 1.0 / film_hz, -math.inf
-        self._next_truth = -math.inf
+        self._next_truth, self._next_seen, self._states_every = -math.inf, -math.inf, states_every
         self._live, self._looking, self._over = live, False, False
         self.skills = 0
         """How many have ended."""
@@ -70,12 +74,16 @@ class Recorder(Listener):
         w = self._writer
         w.joints(state.time, state.q, state.qd, state.opening, command.sent, command.requested)
         w.tip_force(state.time, state.tip_force)
-        now = state.time + 1e-9
-        film = bool(self._cameras) and now >= self._next_look
-        truth = self._truth is not None and now >= self._next_truth
+        self.on_moment(state.time)
+
+    def on_moment(self, time: float) -> None:
+        """The film and the truth, where they are due."""
+        w = self._writer
+        film = bool(self._cameras) and time + EARLY_S >= self._next_look
+        truth = self._truth is not None and time + EARLY_S >= self._next_truth
         if (film or truth) and not self._looking:
-            self._next_look = _due(self._next_look, self._period, now) if film else self._next_look
-            self._next_truth = _due(self._next_truth, TRUTH_EVERY, now) if truth else self._next_truth
+            self._next_look = _due(self._next_look, self._period, time) if film else self._next_look
+            self._next_truth = _due(self._next_truth, self._states_every, time) if truth else self._next_truth
             self._looking = True
             if self._live:
                 w.defer(lambda: self._look_around(film, truth))
@@ -98,6 +106,13 @@ class Recorder(Listener):
             _log.warning("the truth is missing from the recording: %s", error.what)
         finally:
             self._looking = False
+
+    def on_seen(self, state: State) -> None:
+        """What a skill is told of everything while it runs."""
+        now = self._clock()
+        if now + EARLY_S >= self._next_seen:
+            self._next_seen = _due(self._next_seen, self._states_every, now)
+            self._writer.state(now, state)
 
     def on_answer(self, answer: Answer) -> None:
         """What the executive was told, for a replay."""

@@ -13,7 +13,6 @@ from resync_robot.core.skill import GroundSkill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Object
 from resync_robot.core.task import Domain, Task
-from resync_robot.core.vocabulary import TYPES
 from resync_robot.deployment.recorder import Recorder
 from resync_robot.deployment.settings import DeployConfig
 from resync_robot.hardware.answers import Answers, Departure, RecordingOverError
@@ -100,10 +99,10 @@ def recorded_task(recording: Episode, domain: Domain) -> Task:
         raise EpisodeError(f"{recording.path} holds no states of objects", "record one with resync-robot deploy")
     objects = initial[1].objects
     if meta.objects:
-        strange = sorted(set(meta.objects.values()) - set(TYPES))
+        strange = sorted(set(meta.objects.values()) - set(recording.types))
         if strange:
             raise EpisodeError(f"{recording.path}: /meta names objects of no known type: {', '.join(strange)}")
-        objects = tuple(Object(name, TYPES[kind]) for name, kind in meta.objects.items())
+        objects = tuple(Object(name, recording.types[kind]) for name, kind in meta.objects.items())
     return Task(objects, initial[1], domain.parse_goal(meta.goal, objects), {}, meta.seed)
 
 

@@ -12,13 +12,15 @@ from resync_robot.given import Given
 
 @dataclass(frozen=True, kw_only=True)
 class DeployConfig:
-    """Let a robot, simulated or real, reach a goal with what a library knows."""
+    """Let a robot, simulated or real, reach a goal with what a library knows.
+
+    A domain with a robot of its own runs in its own simulator, without rig and cameras."""
 
     backend: Literal["sim", "ur7e", "replay"] = "sim"
     """The robot, gripper and cameras to use. Everything above them is the same code."""
 
     library: Given[Path] = None
-    """Library folder that train-sim wrote. Default: the shipped one."""
+    """Library folder that train-sim wrote. Default: the shipped one of the domain."""
 
     domain: str = DEFAULT_DOMAIN
     """The domain whose objects and skills are used: a name, a file (path.py or path.py:NAME), or
@@ -40,8 +42,9 @@ class DeployConfig:
     episodes: int = 1
     """How many episodes to run, each in a world of its own."""
 
-    perception: Literal["camera", "oracle"] = "camera"
-    """Where poses come from: RGB-D pictures, or the simulator's own state."""
+    perception: Literal["auto", "camera", "oracle"] = "auto"
+    """Where poses come from: RGB-D pictures, or the simulator's own state. auto: pictures, where the robot has
+    cameras."""
 
     skills: Literal["auto", "camera", "state"] = "auto"
     """What the learned skills see while they run: pictures, joints and the scan, or the simulator's state. auto:
@@ -61,8 +64,9 @@ class DeployConfig:
     """Ask before each step of the plan."""
 
     record_pictures: Given[float] = None
-    """How often the recording films what each camera sees while the arm moves, Hz; 0: not at all. Default: 10 where
-    cameras stream, 2 with --backend sim and 1 on an emulated rig, where every picture has to be rendered."""
+    """How often the recording films what each camera sees while the robot moves, Hz; 0: not at all. Default: 10 where
+    cameras stream or a domain's own simulator draws itself, 2 with --backend sim and 1 on an emulated rig, where every
+    picture has to be rendered."""
 
     out: Given[Path] = None
     """Folder of the recordings. Default: runs/DATE-deploy."""

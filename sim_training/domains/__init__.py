@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from resync_robot.core.errors import ConfigError
 from resync_robot.core.task import Domain, Task
 from resync_robot.sim_training.domains.blocked_stacking import BLOCKED_STACKING
 from resync_robot.sim_training.domains.cornered_insertion_s.domain import CORNERED_INSERTION_S
@@ -27,17 +26,6 @@ def find_domain(spec: str) -> Domain:
         ConfigError: what a file or module holds cannot be used; the message says why.
     """
     return load_domain(spec, DOMAINS)
-
-
-def find_arm_domain(spec: str) -> Domain:
-    """The same, for what runs the arm only. Raises ConfigError where the domain brings a robot of its own."""
-    domain = find_domain(spec)
-    if domain.embodiment is not None:
-        raise ConfigError(
-            f"'{domain.name}' brings a robot of its own, which only check-domain runs so far",
-            f"resync-robot check-domain {spec}",
-        )
-    return domain
 
 
 EVALUATION_WORLDS = 20_261_122

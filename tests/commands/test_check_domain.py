@@ -39,14 +39,3 @@ def test_it_writes_over_no_file_of_another_kind(tmp_path: Path, capsys: pytest.C
     kept.write_text("mine")
     assert cli.main(["check-domain", str(PUCK_FILE), "--sheet", str(kept)]) == 2
     assert kept.read_text() == "mine" and "it is left as it is" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("command", ["train-sim", "evaluate", "deploy"])
-def test_what_runs_the_arm_only_refuses_a_domain_with_a_robot_of_its_own(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert cli.main([command, "--domain", str(PUCK_FILE)]) == 2
-    told = capsys.readouterr().err
-    assert "'puck-behind-a-door' brings a robot of its own" in told and f"check-domain {PUCK_FILE}" in told
-    assert not any(tmp_path.iterdir())

@@ -122,7 +122,7 @@ def test_the_world_and_goal_are_those_of_the_scenario_unless_a_goal_is_given() -
 def test_a_step_is_confirmed_by_a_word_only(monkeypatch: pytest.MonkeyPatch) -> None:
     for word, allowed in (("y", True), ("Yes ", True), ("", False), ("n", False), ("why", False)):
         monkeypatch.setattr("builtins.input", lambda prompt, word=word: word)
-        assert one_episode._may_run("Pick(r, b0)") is allowed
+        assert one_episode.may_run("Pick(r, b0)") is allowed
 
 
 def episodes(folder: Path) -> list[Path]:

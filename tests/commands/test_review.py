@@ -161,7 +161,7 @@ def test_links_reach_from_joint_to_joint(columns):
     """A capsule's far end, seen from the world, is the frame of the joint before."""
     import rerun as rr
 
-    from resync_robot.deployment.rerun_view import _capsule
+    from resync_robot.deployment.rerun_view.arm import _capsule
 
     arm = load_rig().arm
     frames = [np.eye(4), *arm.kinematics.link_frames(arm.home)]

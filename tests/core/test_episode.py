@@ -24,6 +24,7 @@ from resync_robot.core.errors import EpisodeError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
+from resync_robot.core.symbols import SE2, Type
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.core.world import CameraFrame
 
@@ -427,3 +428,28 @@ def test_a_killed_process_loses_about_a_second(tmp_path):
     episode = read_episode(path)
     assert episode.damage is not None
     assert len(list(episode.tip_force())) >= 450
+
+
+def test_a_recording_has_the_types_of_its_objects(tmp_path):
+    sofa = Type("sofa", ("x", "y", "theta", "seats"), pose=SE2)
+    state = State({sofa("s"): np.array([1.0, 2.0, 0.5, 3.0])})
+    ours = EpisodeMeta(
+        rig_hash="", rig={}, library_hash="", domain="home", scenario="tv", goal="", seed=0, backend="sim",
+        types={"sofa": sofa.to_json()},
+    )  # fmt: skip
+    with EpisodeWriter(tmp_path / "e.mcap", ours) as writer:
+        writer.truth(0.0, state)
+        writer.film("scene", 0.5, b"\xff\xd8jpeg")
+    episode = read_episode(tmp_path / "e.mcap")
+    assert episode.meta == ours and episode.types["sofa"].pose == SE2
+    assert list(episode.truths()) == [(0.0, state)]
+    # No robot is described, and the bag is whole all the same.
+    topics = {"/meta", "/truth", "/truth_markers", "/camera/scene/film"}
+    assert set(episode.messages) == topics and episode.damage is None
+
+
+def test_a_recording_without_types_has_those_of_the_arm(tmp_path):
+    content = {"format": 4, **{k: getattr(meta(), k) for k in meta().__dataclass_fields__ if k != "types"}}
+    message = json.dumps({"objects": block_state(0.1).to_json()}).encode()
+    raw_episode(tmp_path / "e.mcap", "/state", message, content)
+    assert [s for _, s in read_episode(tmp_path / "e.mcap").states()] == [block_state(0.1)]

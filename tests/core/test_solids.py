@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from resync_robot.core.solids import boxes, scene_markers
+from resync_robot.core.solids import boxes, outline, scene_markers
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Type
+from resync_robot.core.symbols import ROUND, SE2, Type
 from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, ROBOT
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
@@ -43,3 +43,15 @@ def test_a_scene_shows_all_but_what_has_no_place_or_size() -> None:
     np.testing.assert_allclose(outlined[0].size, BLOCK_0[7:])
     name = next(m for m in solid if m.text == "b0")
     assert name.pose[2, 3] > 0.04 and name.number == 1
+
+
+def test_the_outline_of_a_thing_in_the_plane_turns_with_it() -> None:
+    bar = Type("bar", (*SE2, "wide", "long"), pose=SE2, extents=("long", "wide"))
+    corners = outline(bar("b"), np.array([1.0, 2.0, np.pi / 2, 0.2, 0.6]))
+    np.testing.assert_allclose(sorted(corners.round(9).tolist()), [[0.9, 1.7], [0.9, 2.3], [1.1, 1.7], [1.1, 2.3]])
+    np.testing.assert_allclose(corners[0], [0.9, 2.3], err_msg="its front left corner, seen along the bar")
+    disc = Type("disc", (*SE2, "d"), pose=SE2, extents=("d", "d"), symmetry=ROUND)
+    around = outline(disc("d"), np.array([1.0, 2.0, 0.3, 0.5])) - (1.0, 2.0)
+    np.testing.assert_allclose(np.linalg.norm(around, axis=1), 0.25)
+    np.testing.assert_allclose(around.mean(0), 0.0, atol=1e-12)
+    assert outline(Type("spot", SE2, pose=SE2)("s"), np.array([1.0, 2.0, 0.0])).tolist() == [[1.0, 2.0]]

@@ -1,5 +1,6 @@
 """Grounding and lifting mirror each other; what is ill-typed cannot be built."""
 
+import json
 import pickle
 
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from resync_robot.core.errors import PlanningError
-from resync_robot.core.symbols import SE2, SE3, Operator, Predicate, Type, Variable, distinct_products
+from resync_robot.core.symbols import ROUND, SE2, SE3, Operator, Predicate, Type, Variable, distinct_products
 
 BLOCK, ROBOT = Type("block", ("x",)), Type("robot", ("x",))
 ON, HOLDING, CLEAR = Predicate("On", (BLOCK, BLOCK)), Predicate("Holding", (ROBOT, BLOCK)), Predicate("Clear", (BLOCK,))
@@ -112,3 +113,20 @@ def test_what_a_type_declares_says_what_its_features_mean_and_not_which_type_it_
 def test_a_type_that_contradicts_itself_is_refused(declared: dict, why: str) -> None:
     with pytest.raises(PlanningError, match=f"(?s){why}"):
         Type("car", (*SE2, "w", "h"), **declared)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        Type("nothing"),
+        Type("disc", (*SE2, "d"), pose=SE2, extents=("d", "d"), symmetry=ROUND, exact=True),
+        Type(
+            "block", (*SE3, "x_size", "y_size", "z_size"), pose=SE3, extents=("x_size", "y_size", "z_size"), symmetry=4
+        ),
+    ],
+    ids=lambda kind: kind.name,
+)
+def test_a_type_comes_back_from_a_file(kind: Type) -> None:
+    back = Type.from_json(kind.name, json.loads(json.dumps(kind.to_json())))
+    told = ("name", "features", "pose", "extents", "symmetry", "exact")
+    assert [getattr(back, n) for n in told] == [getattr(kind, n) for n in told] and back == kind

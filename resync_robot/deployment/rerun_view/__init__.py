@@ -1,0 +1,1 @@
+"""A recording as Rerun shows it. The only package that knows Rerun."""
