@@ -152,10 +152,12 @@ class Dreamer:
         reference = reference_of(state, failure, p.reference)
         for known, cause in zip(failure.causes, causes_of(state, failure), strict=True):
             before, after = failure.before[known].sample(rng), failure.after[known].sample(rng)
-            relative = before if p.when == "before" else after
-            if spread:
-                relative = before + rng.uniform(0.0, BEYOND) * (after - before)
-            state = place_beside(self.domain, state, cause, reference, relative, rng)
+            share = rng.uniform(0.0, BEYOND) if spread else float(p.when == "after")
+            state = place_beside(self.domain, state, cause, reference, before + share * (after - before), rng)
+            # What is there or not, as a region that is active, has nothing in between.
+            recovered = int(rng.random() < share)
+            values = {name: pair[recovered] for name, pair in failure.changed.get(known, {}).items()}
+            state = state.with_features(cause, **values)
         return state
 
     def live(self, dream: Dream) -> list[Trajectory]:

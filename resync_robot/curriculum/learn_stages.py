@@ -189,8 +189,8 @@ class _Stage:
         able = self._known.with_recovery(stage.recovery, record)
         with self._step("check") as tell:
             seeds = c.seeds(number, "check")[: budgets.checks]
-            after = check(able, able.open(), stage, folder, mined, seeds, workers, tell)
-        newest = _failure(stage, mined, after)
+            after, changed = check(able, able.open(), stage, folder, mined, seeds, workers, tell)
+        newest = _failure(stage, mined, after, changed)
         before = self._library.stages if self._library is not None else ()
         failures = (*(FailureModel.from_learned(s.recovery, s.failure, domain) for s in before), newest)
         scenarios = (*(s.scenario for s in before), stage.scenario)
@@ -257,7 +257,12 @@ class _Stage:
         return library
 
 
-def _failure(stage: Stage, mined: Mined, after: Mapping[Object, PairGaussian]) -> FailureModel:
+def _failure(
+    stage: Stage,
+    mined: Mined,
+    after: Mapping[Object, PairGaussian],
+    changed: Mapping[Object, Mapping[str, tuple[float, float]]],
+) -> FailureModel:
     """What the stage knows about its failure."""
     about = mined.explanation
     return FailureModel(
@@ -268,4 +273,5 @@ def _failure(stage: Stage, mined: Mined, after: Mapping[Object, PairGaussian]) -
         causes=about.culprits,
         before=mined.before,
         after=after,
+        changed=changed,
     )

@@ -20,7 +20,7 @@ class StagePreset:
     dreams: int = 200
     """Of the first stage; twice as many for each further one, which has more combinations to tell apart."""
     attempts: int = 600
-    again: int = 100
+    again: int = 300
     """Dreams of the first stage in which what was discovered is tried; twice as many for each further one."""
 
     def dreams_of(self, stage: int) -> int:

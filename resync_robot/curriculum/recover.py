@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,7 +21,7 @@ from resync_robot.curriculum.context import Context, Known
 from resync_robot.curriculum.mine import FAILURES, Mined, read_mined, task_of
 from resync_robot.curriculum.presets import StagePreset
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
-from resync_robot.learning.failures import PairGaussian, fit_beside
+from resync_robot.learning.failures import PairGaussian, changed_features, fit_beside
 from resync_robot.learning.learned_recovery import LearnedRecovery
 from resync_robot.planning.execute import run_skill
 from resync_robot.sim_training.domains import find_domain
@@ -33,8 +32,8 @@ from resync_robot.sim_training.recovery_problem import Problem, judge_of, pose_p
 
 LEAST_RECOVERED = 5
 """Fresh tasks that a recovery has to mend at least: fewer tell nothing of what it leaves behind."""
-CHECKED: Shape = {"states": [dict]}
-"""The field of recovered.json: states that a recovery led to, from which the failed skill then succeeded."""
+CHECKED: Shape = {"begun": [dict], "states": [dict]}
+"""The fields of recovered.json: states that a recovery began in and led to, where the failed skill then succeeded."""
 
 
 def _pose(known: Known, recovery: str, failures: Path) -> Problem:
@@ -88,9 +87,9 @@ class _Check:
     seed: int
 
 
-def _check(context: Context, job: _Check) -> tuple[bool, State | None] | None:
-    """Whether the recovery said that it is done, and the state it left, if the failed skill then did its work; None
-    where the scene does not stand."""
+def _check(context: Context, job: _Check) -> tuple[bool, tuple[State, State] | None] | None:
+    """Whether the recovery said that it is done, and the states it began in and left, if the failed skill then did its
+    work; None where the scene does not stand."""
     task = task_of(context.domain, job.stage, job.seed)
     simulator = context.embodiment.simulate(task)
     if not simulator.reset(task.initial):
@@ -99,7 +98,7 @@ def _check(context: Context, job: _Check) -> tuple[bool, State | None] | None:
     done = run_skill(simulator, context.model.skill(job.stage.recovery).ground(about.parameters)).done
     left = simulator.perceive()
     judge = judge_of(context.domain, context.model, about)
-    return done, left if judge(simulator, task.initial) else None
+    return done, (task.initial, left) if judge(simulator, task.initial) else None
 
 
 def check(
@@ -111,9 +110,9 @@ def check(
     seeds: range,
     workers: int,
     tell: Tell,
-) -> Mapping[Object, PairGaussian]:
+) -> tuple[dict[Object, PairGaussian], dict[Object, dict[str, tuple[float, float]]]]:
     """Try the recovery in fresh tasks, with the failed skill behind it: for each cause the Gaussian of where it lies
-    afterwards.
+    afterwards, and the features that have changed.
 
     Args:
         known: holds the recovery as a skill.
@@ -124,7 +123,7 @@ def check(
     path, about = folder.path / "recovered.json", mined.explanation
     if not (folder.figures("check") and path.exists()):
         jobs = [_Check(stage, about, seed) for seed in seeds]
-        results: list[tuple[bool, State | None]] = []
+        results: list[tuple[bool, tuple[State, State] | None]] = []
         for i, result in enumerate(parallel_map(_check, jobs, known.open, workers)):
             if result is not None:
                 results.append(result)
@@ -137,11 +136,13 @@ def check(
                 f"{stage.recovery} mends {len(states)} of {len(results)} fresh tasks of {stage.scenario}",
                 "train for longer with --preset full, or see what check-domain says of the domain",
             )
-        write_json(path, {"states": [s.to_json() for s in states]})
+        begun, ended = ([pair[i].to_json() for pair in states] for i in (0, 1))
+        write_json(path, {"begun": begun, "states": ended})
         folder.record("check", figures)
     with reading(path):
         saved: Any = read_json(path)
         check_shape(saved, CHECKED)
         types = {t.name: t for t in context.domain.types}
-        left = [State.from_json(s, types) for s in saved["states"]]
-        return {cause: fit_beside(context.domain, left, cause, about.relevant) for cause in about.culprits}
+        before, left = ([State.from_json(s, types) for s in saved[name]] for name in ("begun", "states"))
+        lies = {cause: fit_beside(context.domain, left, cause, about.relevant) for cause in about.culprits}
+        return lies, {cause: changed_features(cause, before, left) for cause in about.culprits}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -142,6 +142,7 @@ class FailureModel:
     causes: tuple[Object, ...]
     before: Mapping[Object, PairGaussian]
     after: Mapping[Object, PairGaussian]
+    changed: Mapping[Object, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 
     def to_learned(self) -> LearnedFailure:
         """As a library keeps it."""
@@ -150,9 +151,12 @@ class FailureModel:
             argument=self.argument,
             relevant=self.relevant.name,
             objects={o.name: o.type.name for o in self.causes},
-            before={o.name: g.to_json() for o, g in self.before.items()},
-            after={o.name: g.to_json() for o, g in self.after.items()},
+            before={o.name: {**g.to_json(), "features": self._values(o, 0)} for o, g in self.before.items()},
+            after={o.name: {**g.to_json(), "features": self._values(o, 1)} for o, g in self.after.items()},
         )
+
+    def _values(self, cause: Object, when: int) -> dict[str, float]:
+        return {name: values[when] for name, values in self.changed.get(cause, {}).items()}
 
     @staticmethod
     def from_learned(recovery: str, learned: LearnedFailure, domain: Domain) -> FailureModel:
@@ -166,6 +170,8 @@ class FailureModel:
                 {o: PairGaussian.from_json(saved[o.name], sizes[o]) for o in causes}
                 for saved in (learned.before, learned.after)
             )
+            told = [{o: saved[o.name].get("features", {}) for o in causes} for saved in (learned.before, learned.after)]
+            changed = {o: {n: (float(v), float(told[1][o][n])) for n, v in told[0][o].items()} for o in causes}
         except (IndexError, KeyError, StopIteration, ValueError, np.linalg.LinAlgError) as error:
             what = f"what the library knows of the failure that {recovery} mends does not fit {domain.name}: {error!r}"
             raise LibraryError(what, RETRAIN) from None
@@ -177,6 +183,7 @@ class FailureModel:
             causes=causes,
             before=before,
             after=after,
+            changed=changed,
         )
 
 
@@ -208,6 +215,18 @@ def fit_beside(domain: Domain, states: Sequence[State], cause: Object, relevant:
     relation = resampling(domain, moved.type, anchor.type)
     rows = relation.see(np.stack([s[moved] for s in states]), np.stack([s[anchor] for s in states]))
     return PairGaussian.fit(list(rows), relation.resolution)
+
+
+def changed_features(cause: Object, before: Sequence[State], after: Sequence[State]) -> dict[str, tuple[float, float]]:
+    """The features of a cause beside its pose that differ in most of these pairs of states, with their means: that a
+    region is not active any more, say."""
+    rows = [np.stack([state[cause] for state in states]) for states in (before, after)]
+    first, kind = len(cause.type.pose or ()), cause.type
+    differ = (np.abs(rows[1] - rows[0]) > 1e-6).mean(0) > 0.5
+    means = [r.mean(0) for r in rows]
+    return {
+        n: (float(means[0][i]), float(means[1][i])) for i, n in enumerate(kind.features) if i >= first and differ[i]
+    }
 
 
 def lies_beside(domain: Domain, state: State, cause: Object, relevant: Object) -> np.ndarray:
