@@ -133,6 +133,8 @@ class FailureModel:
         causes: o^F.
         before, after: for each cause the Gaussian of how the two lie beside each other when the skill fails, and once
             the recovery is done; in the columns of the relation of what `Domain.moving` moves to its anchor.
+        changed: for each cause its features beside the pose that the recovery changes, with their values before and
+            after.
     """
 
     recovery: str
