@@ -61,14 +61,12 @@ def dream(
     attempts: int,
     workers: int,
     tell: Tell,
-    name: str = "dreams",
 ) -> list[Trajectory]:
     """All dreams and attempts about `failures`, the newest of which is the stage's own.
 
     Args:
         known: the model to plan with; it holds every recovery.
         scenarios: the training scenarios of these failures.
-        name: of their files.
 
     Raises:
         TrainingError: the domain has no scene to dream in, or a file is damaged.
@@ -77,7 +75,7 @@ def dream(
     make = _Asleep(known, failures, usual)
     specs = make().dreams(dreams, attempts, seeds.start)
     chunks = [specs[i : i + CHUNK] for i in range(0, len(specs), CHUNK)]
-    paths = [folder.path / f"{name}-{i:03d}.jsonl" for i in range(len(chunks))]
+    paths = [folder.path / f"dreams-{i:03d}.jsonl" for i in range(len(chunks))]
     todo = [(path, chunk) for path, chunk in zip(paths, chunks, strict=True) if not path.exists()]
     stream = parallel_map(_live, [d for _, chunk in todo for d in chunk], make, workers)
     finished = len(specs) - sum(len(chunk) for _, chunk in todo)
@@ -91,7 +89,7 @@ def dream(
             tell(finished / len(specs), f"{solved} of {lived} dreams solved")
         write_trajectories(path, found)
     trajectories = _read(paths, domain)
-    folder.record("dream", {name: tally(trajectories)})
+    folder.record("dream", {"sources": tally(trajectories)})
     return trajectories
 
 

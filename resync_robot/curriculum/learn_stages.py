@@ -29,12 +29,10 @@ from resync_robot.learning.failures import FailureModel, PairGaussian
 from resync_robot.learning.model import Concepts
 from resync_robot.library_models import known_concepts, make_library
 
-STEPS = ("mine", "recover", "check", "dream", "discover", "dream again", "discover again", "save")
-"""Of a stage. What was discovered first is tried in dreams, too: what the planner then does that nobody has tried, such
-as to recover with a full hand, tells what is still missing."""
+STEPS = ("mine", "recover", "check", "dream", "discover", "save")
 TRAINING_SEEDS = 1_000_000
 """Each training seed owns this many world seeds from seed * TRAINING_SEEDS on; evaluation draws from elsewhere."""
-STAGE_SEEDS, STEP_SEEDS = 100_000, 12_000
+STAGE_SEEDS, STEP_SEEDS = 100_000, 15_000
 """Of these each stage, and each of its steps, owns so many."""
 Watch = Callable[[str], Any]
 """A step's name -> a context that yields its `Tell`, for the progress bars."""
@@ -194,28 +192,18 @@ class _Stage:
         before = self._library.stages if self._library is not None else ()
         failures = (*(FailureModel.from_learned(s.recovery, s.failure, domain) for s in before), newest)
         scenarios = (*(s.scenario for s in before), stage.scenario)
-        about = domain, failures, scenarios, folder
         with self._step("dream") as tell:
             seeds, count = c.seeds(number, "dream"), budgets.dreams_of(number)
-            dreams = dream(able, *about, seeds, count, budgets.attempts, workers, tell)
+            dreams = dream(able, domain, failures, scenarios, folder, seeds, count, budgets.attempts, workers, tell)
         types = tuple(o.type for o in mined.explanation.parameters)
-
-        def fed(trajectories: Sequence[Trajectory]) -> StageData:
-            return StageData(stage.recovery, types, newest.skill, trajectories)
-
+        own = StageData(stage.recovery, types, newest.skill, dreams)
         if folder.figures("save") and (folder.library / "library.json").exists():
-            return load_library(folder.library), fed(earlier_dreams(domain, folder.library))
+            return load_library(folder.library), own
         with self._step("discover") as tell:
-            concepts = self._discover([*data, fed(dreams)], tell)
-        with self._step("dream again") as tell:
-            first = Known(domain=domain.spec, rig=c.rig, library=self._made(record, newest, concepts))
-            seeds, count = c.seeds(number, "dream again"), budgets.again_of(number)
-            dreams = [*dreams, *dream(first, *about, seeds, count, 0, workers, tell, name="dreams-again")]
-        with self._step("discover again") as tell:
-            concepts = self._discover([*data, fed(dreams)], tell)
+            concepts = self._discover([*data, own], tell)
             folder.record("discover", {"report": concepts.report})
         with self._step("save"):
-            return self._save(self._made(record, newest, concepts)), fed(dreams)
+            return self._save(record, newest, concepts), own
 
     @contextmanager
     def _step(self, name: str) -> Iterator[Tell]:
@@ -237,22 +225,18 @@ class _Stage:
             raise TrainingError(f"no operator was learned for {name}", "train with more dreams: --preset full")
         return concepts
 
-    def _made(self, record: Record, failure: FailureModel, concepts: Concepts) -> Library:
-        """All that is known with these concepts."""
-        c, stage = self._c, self._stage
+    def _save(self, record: Record, failure: FailureModel, concepts: Concepts) -> Library:
+        c, folder, stage = self._c, self._folder, self._stage
         learned = LearnedStage(
             recovery=stage.recovery,
             scenario=stage.scenario,
             failure=failure.to_learned(),
-            figures=self._folder.all_figures,
+            figures=folder.all_figures,
         )
-        return make_library(c.domain, c.rig, learned, record, concepts, c.provenance, known=self._library)
-
-    def _save(self, library: Library) -> Library:
-        folder = self._folder
+        library = make_library(c.domain, c.rig, learned, record, concepts, c.provenance, known=self._library)
         save_library(library, folder.library)
         folder.record("save", {"content_hash": library.content_hash})
-        curve, stop_at = folder.figures("recover")["curve"], self._c.budgets.recovery.ppo.stop_at
+        curve, stop_at = folder.figures("recover")["curve"], c.budgets.recovery.ppo.stop_at
         draw_learning_curve(curve, folder.path / "recovery.png", 0, stop_at)
         return library
 

@@ -20,16 +20,10 @@ class StagePreset:
     dreams: int = 200
     """Of the first stage; twice as many for each further one, which has more combinations to tell apart."""
     attempts: int = 600
-    again: int = 300
-    """Dreams of the first stage in which what was discovered is tried; twice as many for each further one."""
 
     def dreams_of(self, stage: int) -> int:
         """For the stage of that number, from 1."""
         return int(self.dreams * 2 ** (stage - 1))
-
-    def again_of(self, stage: int) -> int:
-        """The same of those in which what was discovered is tried."""
-        return int(self.again * 2 ** (stage - 1))
 
 
 STAGE_PRESETS = {
@@ -45,8 +39,7 @@ STAGE_PRESETS = {
         checks=16,
         dreams=40,
         attempts=80,
-        again=24,
     ),
     "quick": StagePreset(),
-    "full": StagePreset(failures=500, checks=200, dreams=1000, attempts=2000, again=500),
+    "full": StagePreset(failures=500, checks=200, dreams=1000, attempts=2000),
 }
