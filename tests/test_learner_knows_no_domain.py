@@ -21,13 +21,14 @@ OF_THE_ARM = {
     "resync_robot/learning/demonstrations.py",
     # The arm's own walk through one stage, until it takes that of `learn_stages`.
     "resync_robot/curriculum/stages.py",
+    "resync_robot/curriculum/written_reward.py",
     "resync_robot/curriculum/stage_files.py",
     "resync_robot/curriculum/distil.py",
     "resync_robot/curriculum/model_card.py",
 }
 """Files that know the arm and its blocks."""
-ANY_ROBOT = {"robot", "ROBOT"}
-"""Every domain has one."""
+ANY_ROBOT = {"robot", "ROBOT", "item"}
+"""Every domain has a robot; and of a type called item that word is not the only meaning."""
 
 
 def _domains() -> list[Domain]:

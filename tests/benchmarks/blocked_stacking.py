@@ -55,7 +55,7 @@ SCRIPTED: Mapping[str, tuple[str, Actions]] = {
 
 def failures(scenario: str, seeds: Sequence[int]) -> Iterator[FailedAttempt]:
     for seed in seeds:
-        found = attempt(DOMAIN, DOMAIN.scenario(scenario).sample(np.random.default_rng(seed), seed), MODEL)
+        found = attempt(BODY, DOMAIN.scenario(scenario).sample(np.random.default_rng(seed), seed), MODEL)
         if found is not None:
             yield found
 

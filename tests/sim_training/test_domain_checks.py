@@ -34,7 +34,7 @@ def test_the_guide_s_domain_keeps_it() -> None:
 def test_a_domain_without_an_embodiment_is_looked_at_as_far_as_it_goes() -> None:
     whole = find_domain("cornered-insertion-s")
     found = list(examine(replace(whole, scenarios={name: whole.scenarios[name] for name in ("s0", "s3")}), 1))
-    assert [f.name for f in found] == ["parts", "tasks: s0", "tasks: s3", "simulator"]
+    assert [f.name for f in found] == ["parts", "tasks: s0", "tasks: s3", "tasks: free", "simulator"]
     assert {f.status for f in found[:-1]} == {"ok"}
     assert found[-1].status == "warn" and "no embodiment" in found[-1].detail
 

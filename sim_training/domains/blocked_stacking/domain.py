@@ -90,6 +90,7 @@ BLOCKED_STACKING = Domain(
     predicates=PREDICATES,
     classifiers=CLASSIFIERS,
     operators=OPERATORS,
+    instruction="Free the block from what is in the way of the fingers.",
     scenarios={name: _scenario(name, obstructed) for name, obstructed in OBSTRUCTED.items()},
     stages=(
         Stage(recovery="Punch", scenario="0", horizon=10),

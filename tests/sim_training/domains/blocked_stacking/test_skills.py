@@ -15,7 +15,7 @@ from resync_robot.sim_training.domains.blocked_stacking.layouts import ROBOT_NAM
 from resync_robot.sim_training.domains.blocked_stacking.simulator import Bench
 from resync_robot.sim_training.domains.blocked_stacking.vocabulary import CRATE, SLAB, WALL
 from resync_robot.sim_training.failure_mining import attempt, explain
-from tests.benchmarks.blocked_stacking import DOMAIN, MODEL, SCRIPTED, failures, recovers
+from tests.benchmarks.blocked_stacking import BODY, DOMAIN, MODEL, SCRIPTED, failures, recovers
 
 
 def draw(name: str, seed: int) -> Task:
@@ -32,7 +32,7 @@ def test_where_nothing_is_in_the_way_one_block_comes_upon_the_other(seed: int) -
 
 @pytest.mark.parametrize("name", sorted(OBSTRUCTED, key=int))
 def test_what_is_in_the_way_is_what_the_skill_fails_on(name: str) -> None:
-    found = attempt(DOMAIN, draw(name, 7), MODEL)
+    found = attempt(BODY, draw(name, 7), MODEL)
     assert found is not None
     at_grasp = {kind for kind, host in OBSTRUCTED[name].items() if host == "grasp"}
     assert found.skill == ("ReachToGrasp" if at_grasp else "ReachToPlace")
