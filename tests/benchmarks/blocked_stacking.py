@@ -70,7 +70,7 @@ def recovers(found: FailedAttempt, actions: Actions, frames: list[np.ndarray] | 
         world.act(np.array(action), DURATION)
     if frames is not None:
         frames.append(world.picture())
-    run_skill(world, found.skill)
+    run_skill(world, MODEL.skill(found.skill).ground(found.objects))
     operator = next(o for o in DOMAIN.operators if o.name == found.skill)
     return operator.ground(found.objects).add <= MODEL.abstraction.true_atoms(world.perceive())
 
