@@ -34,7 +34,13 @@ class RecoverySettings:
     obstructs, and from between the two."""
     ppo: PpoSettings = field(
         default_factory=lambda: PpoSettings(
-            scenes=32, total_steps=400_000, least_steps=20_000, stop_at=0.95, minibatch=256, anneal_steps=80_000
+            scenes=32,
+            total_steps=400_000,
+            least_steps=20_000,
+            stop_at=0.95,
+            plateau=80_000,
+            minibatch=256,
+            anneal_steps=80_000,
         )
     )
     judged: JudgedSettings = field(default_factory=JudgedSettings)

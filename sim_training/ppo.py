@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +35,9 @@ class PpoSettings:
     """Sampled success rate over the last 400 episodes (or one of each scene) at which training ends early..."""
     least_steps: int = 150_000
     """...but not before this many steps, for the rare corners of the randomisation."""
+    plateau: int = 0
+    """Control steps, from then on, in which that rate has risen by less than a hundredth, after which training ends,
+    too; 0: never. Through the noise of exploration some recoveries never reach `stop_at`."""
     epochs: int = 4
     minibatch: int = 512
     learning_rate: float = 3e-4
@@ -127,9 +130,18 @@ def train_policy(
             if len(curve["steps"]) % 20 == 0:
                 _save(checkpoint, net, optimiser, curve)
             full = len(finished) == finished.maxlen and done_steps >= settings.least_steps
-            enough = full and rate >= settings.stop_at
+            enough = full and (rate >= settings.stop_at or has_plateaued(curve, settings))
     _save(checkpoint, net, optimiser, curve)
     return curve
+
+
+def has_plateaued(curve: Mapping[str, Sequence[float]], s: PpoSettings) -> bool:
+    """Whether the success rate has not risen for as long as the settings say."""
+    best, since = -1.0, 0.0
+    for steps, rate in zip(curve["steps"], curve["success"], strict=True):
+        if steps >= s.least_steps and rate > best + 0.01:
+            best, since = rate, steps
+    return s.plateau > 0 and best >= 0.0 and curve["steps"][-1] - since >= s.plateau
 
 
 def _collect(

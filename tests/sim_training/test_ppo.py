@@ -15,7 +15,7 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.task import Task
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, PROJECTED_SIZE, ActorCritic
 from resync_robot.sim_training.block_recovery import RecoveryEnv, train_recovery
-from resync_robot.sim_training.ppo import PpoSettings
+from resync_robot.sim_training.ppo import PpoSettings, has_plateaued
 from resync_robot.sim_training.recovery import RecoverySettings
 from resync_robot.sim_training.vector_env import RecoveryScenes
 from tests import scenes
@@ -184,3 +184,19 @@ def test_it_learns(tmp_path: Path) -> None:
         anneal_steps=20_000,
     )
     assert np.mean(curve["return"][-3:]) > np.mean(curve["return"][:3]) + 0.1
+
+
+@pytest.mark.parametrize(
+    ("rates", "expected"),
+    [
+        ([0.2, 0.5, 0.8, 0.8, 0.805, 0.79], True),
+        ([0.2, 0.5, 0.8, 0.8, 0.82, 0.79], False),
+        # What was before the least steps is of few episodes.
+        ([1.0, 0.5, 0.6, 0.7, 0.8, 0.9], False),
+    ],
+)
+def test_a_rate_that_rises_no_more_has_plateaued(rates: list[float], expected: bool) -> None:
+    curve = {"steps": [1000.0 * (i + 1) for i in range(len(rates))], "success": rates}
+    settings = PpoSettings(least_steps=2000, plateau=3000)
+    assert has_plateaued(curve, settings) is expected
+    assert not has_plateaued(curve, PpoSettings(least_steps=2000))
