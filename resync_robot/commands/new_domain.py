@@ -48,5 +48,5 @@ def new_domain(config: NewDomainConfig) -> None:
         write_text(path, text)
     except OSError as error:
         raise unwritable(f"--out {path}", error, "give another file") from None
-    say(f"{path}: a domain in which a robot drives to a flag, and a crate is in its way. Change it, and run:")
+    say(f"{path}: a domain in which a robot drives to a flag, and a crate stands on it. Change it, and run:")
     say(f"  resync-robot check-domain {path}")

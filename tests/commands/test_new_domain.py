@@ -37,7 +37,7 @@ def test_what_it_refuses(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("kept.py").write_text("mine")
+    Path("kept.py").write_text("mine", encoding="utf-8")
     assert cli.main(["new-domain", *args]) == 2
     assert words in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["kept.py"] and Path("kept.py").read_text() == "mine"
+    assert [p.name for p in tmp_path.iterdir()] == ["kept.py"] and Path("kept.py").read_text(encoding="utf-8") == "mine"
