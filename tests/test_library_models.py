@@ -162,6 +162,16 @@ def test_a_recovery_record_that_lacks_a_part_is_refused(part: str) -> None:
         {"experience": {"Pick": [{"predicate": "Bare", "argument": 0, "held": [1, 2], "otherwise": [0, 0]}]}},
         {"experience": {"Juggle": [{"predicate": "HandEmpty", "argument": 0, "held": [1, 2], "otherwise": [0, 0]}]}},
         {"experience": {"Pick": [{"predicate": "HandEmpty", "argument": 0}]}},
+        {
+            "experience": {
+                "Pick": [{"predicate": "On", "over": [1], "argument": 0, "held": [1, 2], "otherwise": [0, 0]}]
+            }
+        },
+        {
+            "experience": {
+                "Pick": [{"predicate": "On", "over": [2], "argument": 1, "held": [1, 2], "otherwise": [0, 0]}]
+            }
+        },
     ],
 )
 def test_execution_that_does_not_fit_the_domain_is_refused(execution: dict[str, object]) -> None:

@@ -136,7 +136,8 @@ def learn_concepts(
     }
     concepts = assemble(given, before, columns, selection, pool.concepts, len(stages), report)
     abstraction = Abstraction(concepts.predicates, concepts.classifiers)
-    gone = experience((t for s in stages for t in s.trajectories), abstraction, concepts.operators)
+    tried = (t for s in stages for t in s.trajectories)
+    gone = experience(tried, abstraction, concepts.operators, given.predicates)
     return replace(concepts, report={**concepts.report, "experience": gone})
 
 

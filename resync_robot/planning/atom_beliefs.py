@@ -84,7 +84,7 @@ class AtomBeliefs:
             Whether its effects came true, as far as can be told.
         """
         before = {a: self.probability(a) for a in step.preconditions}
-        success = self._costs.success(step, self.certain())
+        success = self._costs.success(step, self._costs.circumstances(self.certain()))
         self.perceived(probabilities)
         self._expect(step, outcome, success)
         certain = self.certain()

@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from resync_robot.core.symbols import Atom, GroundOperator, Predicate
+from resync_robot.planning.abstract import Exists
 
 Count = tuple[int, int]
 """(successes, attempts)."""
@@ -28,12 +29,14 @@ class Tally:
         argument: position of that argument among those of the skill.
         held: the attempts before which the atom held.
         otherwise: the rest.
+        form: what `predicate` follows from where the model does not know it: "it holds something".
     """
 
     predicate: Predicate
     argument: int
     held: Count
     otherwise: Count
+    form: Exists | None = None
 
     def atom(self, step: GroundOperator) -> Atom:
         return self.predicate(step.objects[self.argument])
@@ -67,13 +70,27 @@ class OutcomeCosts:
         self, tallies: Mapping[str, Sequence[Tally]] | None = None, settings: CostSettings | None = None
     ) -> None:
         self._tallies, self._settings = dict(tallies or {}), settings or CostSettings()
+        forms = dict.fromkeys(t.form for of in self._tallies.values() for t in of if t.form is not None)
+        self._forms = {form.base: [f for f in forms if f.base == form.base] for form in forms}
 
     def atoms(self, step: GroundOperator) -> list[Atom]:
         """What its success hangs on beside its preconditions."""
         return [tally.atom(step) for tally in self._tallies.get(step.name, ())]
 
+    @property
+    def bases(self) -> frozenset[Predicate]:
+        """The predicates that `circumstances` derives others from."""
+        return frozenset(self._forms)
+
+    def circumstances(self, atoms: Collection[Atom]) -> frozenset[Atom]:
+        """`atoms`, and what follows from them that steps hang on; `success` and `cost` ask for these."""
+        if not self._forms:
+            return frozenset(atoms)
+        follow = (Atom(f.predicate, f.keeps(a.args)) for a in atoms for f in self._forms.get(a.predicate, ()))  # type: ignore[arg-type]
+        return frozenset(atoms).union(follow)
+
     def success(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
-        """Probability that the step succeeds where its preconditions and `atoms` hold.
+        """Probability that the step succeeds where its preconditions and these `circumstances` hold.
 
         The successes, and the failures, under all these circumstances at once are estimated from the counts under each
         of them, as if they were independent (naive Bayes). The prior is a beta distribution, between what is expected

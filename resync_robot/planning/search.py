@@ -152,7 +152,7 @@ def _cheapest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] 
         if problem.task.goal_reached(node.state):
             operators: list[Any] = node.extract_solution()
             return operators
-        holding = problem.atoms_in(node.state)
+        holding = problem.circumstances(node.state)
         for op, state in problem.task.get_successor_states(node.state):
             child = SearchNode(state, node, op, node.g + problem.cost(op, holding))
             if child.g >= best.get(state, INFINITY) or (steps := h(child)) == INFINITY:
@@ -249,8 +249,13 @@ class _Problem:
             raise PlanningError("the goal is empty: there is nothing to plan for")
         self.goal, self.atoms, self._costs = goal, atoms, costs or OutcomeCosts()
         self.ground = ground_all(operators, objects)
+        changed = atoms.union(*(op.add for op in self.ground)) if self._costs.bases else frozenset()
         self._asked = sorted(
-            goal.union(*(op.preconditions for op in self.ground), *(self._costs.atoms(op) for op in self.ground))
+            goal.union(
+                *(op.preconditions for op in self.ground),
+                *(self._costs.atoms(op) for op in self.ground),
+                (a for a in changed if a.predicate in self._costs.bases),
+            )
         )
         number = {atom: i for i, atom in enumerate(self._asked, start=1)}
         self._likely = [(a, p) for a, p in sorted((likely or {}).items()) if a in number and a not in atoms]
@@ -285,11 +290,12 @@ class _Problem:
             raise UnknownNameError("heuristic", name, list(HEURISTICS))
         return HEURISTICS[name](self.task)
 
-    def atoms_in(self, state: frozenset[int]) -> frozenset[Atom]:
-        return frozenset(self._asked[i - 1] for i in state if 0 < i <= len(self._asked))
+    def circumstances(self, state: frozenset[int]) -> frozenset[Atom]:
+        """What the costs of steps hang on, in a state of the search."""
+        return self._costs.circumstances([self._asked[i - 1] for i in state if 0 < i <= len(self._asked)])
 
     def cost(self, op: PyperplanOperator, holding: Collection[Atom]) -> int:
-        """Of an operator where these atoms hold, in COST_UNIT."""
+        """Of an operator in these `circumstances`, in COST_UNIT."""
         if op.name >= len(self.ground):
             return round(-math.log(self._likely[op.name - len(self.ground)][1]) / COST_UNIT)
         return round(self._costs.cost(self.ground[op.name], holding) / COST_UNIT)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object
+from resync_robot.core.symbols import Object, Predicate
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.learning.outcome_counts import experience
 from resync_robot.planning.abstract import Abstraction, Not
 from tests.planning.kitchen import CLEAN, CUP, FILL, FULL, OPEN, A, B
 
 IS_SHUT = Not(OPEN)
+BESIDE = Predicate("Beside", (CUP, CUP))
 
 
 def reader(feature: str):
@@ -52,3 +53,17 @@ def test_attempts_are_counted_by_what_held() -> None:
         {"predicate": "Full", "argument": 0, "held": [1, 2], "otherwise": [2, 2]},
         {"predicate": "Open", "argument": 0, "held": [3, 4], "otherwise": [0, 0]},
     ]
+
+
+def test_it_counts_too_whether_a_given_predicate_holds_of_an_argument_and_anything() -> None:
+    classifiers = {**ABSTRACTION.classifiers, "Beside": lambda state, pair: float(state.get(pair[1], "full")[0])}
+    abstraction = Abstraction((*ABSTRACTION.predicates, BESIDE), classifiers)
+    tried = [attempt(A, True, open=1, clean=1), attempt(A, False, open=1, clean=1, full=1)]
+    runs = [Trajectory(tuple(tried), frozenset({FULL(A)}), True, "dream")]
+    found = experience(runs, abstraction, (FILL,), given=(OPEN, BESIDE))["Fill"]
+    assert [t for t in found if "over" in t] == [
+        # The other cup is full each time, the filled one once.
+        {"predicate": "Beside", "over": [0], "argument": 0, "held": [0, 1], "otherwise": [1, 1]},
+        {"predicate": "Beside", "over": [1], "argument": 0, "held": [1, 2], "otherwise": [0, 0]},
+    ]
+    assert [t for t in found if "over" not in t] == experience(runs, abstraction, (FILL,))["Fill"]

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Atoms, Operator, Predicate
 from resync_robot.core.vocabulary import BLOCK
+from resync_robot.planning.abstract import Exists
 from resync_robot.planning.outcome_costs import CostSettings, OutcomeCosts, Tally
 from resync_robot.planning.search import ground_all, plan
 from tests.planning.kitchen import CLEAN, FILL, FULL, OPEN, UNLID, WIPE, A, B, X
-from tests.planning.models import B1, BLOCKS, INSERT, ON, PICK, RECOVER, scene
+from tests.planning.models import B1, BLOCKS, BOX_0, HOLDING, INSERT, ON, PICK, RECOVER, ROBOT_0, scene
 
 COVERED = Predicate("Covered", (BLOCK,))
 STACKING = (PICK, RECOVER, replace(INSERT, add=INSERT.add | {COVERED(B1)}))
@@ -64,6 +65,20 @@ def test_success_is_estimated_from_counts_and_a_prior() -> None:
     assert both.success(pour, {FULL(A)}) == pytest.approx(0.9)
     free = OutcomeCosts({"Pour": [clean, full]}, CostSettings(step=0.0))
     assert free.cost(pour, {CLEAN(A), FULL(A)}) == pytest.approx(-math.log(0.7))
+
+
+def test_what_nobody_tried_with_a_full_hand_is_done_before_the_hand_is_full() -> None:
+    holds = Exists(HOLDING, (1,))
+    objects, atoms = scene(2, {0, 1})
+    empty_handed = OutcomeCosts({"Recover": [Tally(holds.predicate, 0, (0, 0), (50, 50), holds)]})
+    anytime = replace(RECOVER, preconditions=frozenset())
+    found = plan((PICK, anytime, INSERT), objects, atoms, frozenset({ON(BLOCKS[1], BLOCKS[0])}), costs=empty_handed)
+    assert [s.name for s in found.steps] == ["Recover", "Recover", "Pick", "Insert"]
+    holding = {HOLDING(ROBOT_0, BLOCKS[1])}
+    recover = anytime.ground((ROBOT_0, BLOCKS[0], BOX_0))
+    empty, full = (empty_handed.success(recover, empty_handed.circumstances(a)) for a in (set(), holding))
+    assert full < empty
+    assert empty_handed.circumstances(holding) == {*holding, holds.predicate(ROBOT_0)}
 
 
 def test_out_of_reach_is_told_as_without_costs() -> None:
