@@ -163,8 +163,9 @@ class Dreamer:
     def live(self, dream: Dream) -> list[Trajectory]:
         """Live through one dream; empty where no scene of it stands.
 
-        A failure that a recovery is known for is followed by it at once. One that leaves the robot in no condition for
-        it, with something in its hand, say, begins again with the recovery first, which only a resettable world allows.
+        What fails beside causes that a recovery is known for is followed by that recovery at once, whichever skill it
+        was: so it shows whether the recovery works with something in the hand, too. Where it does not, the dream begins
+        again with the recovery first, which only a resettable world allows.
         Failed attempts are kept: they tell a classifier where its boundary lies.
         """
         for again in range(REDRAWN):
@@ -185,7 +186,7 @@ class Dreamer:
             for p in left:
                 failure = self.failures[p.failure]
                 about = reference_of(state, failure, p.reference)
-                if failure.skill == failed.name and (failure.argument is None or about in failed.objects):
+                if failure.argument is None or about in failed.objects:
                     left.remove(p)
                     return self._recovery(p, state, failed.objects)
             return None
