@@ -35,6 +35,10 @@ FIELDS: Shape = {
 SURE = 0.85
 """Probability of beta_N at which the recovery is done: a moment more costs less than to be taken for done wrongly."""
 
+PATIENCE = 2
+"""How many times as long as an episode of training the policy may take: what it does next does not hang on the time
+that has passed, and a robot with something in its hand is slower."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LearnedRecovery:
@@ -46,7 +50,7 @@ class LearnedRecovery:
         sees: how many of these it sees, from the first one on.
         failed_skill: C^F, by its name.
         arguments: for each argument of the failed skill which of the recovery's own it is.
-        horizon: actions after which the policy gives up.
+        horizon: actions of an episode of training; the policy gives up after `PATIENCE` times as many.
         policy: over the relational view of the parameters.
         done: beta_N, over the same view: the failed skill succeeds from here.
     """
@@ -69,7 +73,7 @@ class LearnedRecovery:
             longest = round(failed.time_limit_s * embodiment.rate_hz)
             return _Run(self, RelationalView(objects[: self.sees], relations), begun, longest, limits)
 
-        limit = failed.time_limit_s + (self.horizon + 2) / embodiment.rate_hz
+        limit = failed.time_limit_s + (PATIENCE * self.horizon + 2) / embodiment.rate_hz
         return Skill(self.name, self.types, start, embodiment.rate_hz, limit, live_state=True)
 
     def to_record(self) -> Record:
@@ -146,7 +150,7 @@ class _Run:
         seen = self._see(observation)
         if self._steps and self._is_done(seen):
             return SkillOutcome(SkillEnd.DONE)
-        if self._steps >= self._recovery.horizon:
+        if self._steps >= PATIENCE * self._recovery.horizon:
             return SkillOutcome(SkillEnd.TIMEOUT, f"not done after {self._steps} actions")
         self._steps += 1
         with torch.no_grad():
