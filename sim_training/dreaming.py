@@ -193,12 +193,20 @@ class Dreamer:
 
         settings = ExecuteSettings(max_failures=1 + len(wanted))
         result = plan_and_execute(simulator, self.model, task.goal, settings, reaction=react)
-        found = [Trajectory(result.transitions, task.goal, result.success, dream.source)]
+        found = [self._until_in_vain(Trajectory(result.transitions, task.goal, result.success, dream.source))]
         done = {(t.skill, t.objects) for t in result.transitions if t.succeeded}
         missed = [g for p in wanted if (g := self._recovery(p, task.initial)) and (g.name, g.objects) not in done]
         if not result.success and missed:
             found.append(self._recovered_first(dream, task, missed))
         return found
+
+    def _until_in_vain(self, lived: Trajectory) -> Trajectory:
+        """Up to the first recovery that failed: what fails behind it may fail of the mess that it left."""
+        recoveries = {f.recovery for f in self.failures}
+        for i, t in enumerate(lived.transitions):
+            if t.skill in recoveries and not t.succeeded:
+                return replace(lived, transitions=lived.transitions[: i + 1], solved=False)
+        return lived
 
     def _recovered_first(self, dream: Dream, task: Task, recoveries: Sequence[GroundSkill]) -> Trajectory:
         simulator = self.embodiment.simulate(task)

@@ -37,10 +37,11 @@ class RecoverySettings:
             scenes=32,
             total_steps=400_000,
             least_steps=20_000,
-            stop_at=0.95,
+            stop_at=0.97,
             plateau=80_000,
             minibatch=256,
-            anneal_steps=80_000,
+            std_end=0.1,
+            anneal_steps=120_000,
         )
     )
     judged: JudgedSettings = field(default_factory=JudgedSettings)

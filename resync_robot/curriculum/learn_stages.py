@@ -221,8 +221,15 @@ class _Stage:
             seed=c.seed,
             progress=lambda what, share: tell(share, what),
         )
-        if not any(o.name == name for o in concepts.operators):
-            raise TrainingError(f"no operator was learned for {name}", "train with more dreams: --preset full")
+        # A recovery that achieves nothing is never planned for, and what later stages practise would rely on it.
+        achieved = {a.predicate.name for o in concepts.operators if o.name == name for a in o.add}
+        if not achieved & concepts.records.keys():
+            self._folder.record("discover", {"report": concepts.report})
+            raise TrainingError(
+                f"no predicate was found that {name} brings about; what was tried is in {self._folder.run.path}"
+                f"/metrics.json, {self._folder.name}/discover",
+                "train with more dreams: --preset full, or with another --seed",
+            )
         return concepts
 
     def _save(self, record: Record, failure: FailureModel, concepts: Concepts) -> Library:
