@@ -9,14 +9,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from resync_robot.core.embodiment import Embodiment
-from resync_robot.core.errors import ConfigError, LibraryError, PlanningError
+from resync_robot.core.errors import ConfigError, LibraryError, ResyncError
 from resync_robot.core.library import RETRAIN, LearnedStage, Library, Record
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import Skill
 from resync_robot.core.symbols import Operator, Predicate, Type
 from resync_robot.core.task import Domain
 from resync_robot.learning.model import Concepts, load_concepts
-from resync_robot.planning.abstract import Abstraction, Classifier, Exists, Form
+from resync_robot.planning.abstract import Abstraction, Classifier, Form, Not, form_from_json
 from resync_robot.planning.execute import Model
 from resync_robot.planning.outcome_costs import OutcomeCosts, Tally
 from resync_robot.planning.pddl import domain_to_pddl
@@ -152,7 +152,7 @@ def learned_model(domain: Domain, rig: Rig | None, library: Library, recoveries:
             operator = next(o for o in operators if o.name == variant)
             skills[variant] = _variant(variant, skills[base], tuple(v.type for v in operator.parameters))
         costs = _costs(library.execution.get("experience", {}), predicates, operators)
-    except (AttributeError, IndexError, KeyError, StopIteration, TypeError, ValueError, PlanningError) as error:
+    except (AttributeError, IndexError, KeyError, StopIteration, TypeError, ValueError, ResyncError) as error:
         raise LibraryError(f"execution.json does not fit domain.pddl: {error!r}", RETRAIN) from error
     learned = [p.name for p in predicates if _base(p.name, concepts.classifiers) not in domain.classifiers]
     errors = {name: _error(name, concepts.classifiers, library) for name in learned}
@@ -178,10 +178,12 @@ def _costs(
     tallies: dict[str, list[Tally]] = {skill: [] for skill in experience}
     for skill, entries in experience.items():
         for entry in entries:
-            predicate, argument = by_name[entry["predicate"]], int(entry["argument"])
-            form = Exists(predicate, tuple(map(int, entry["over"]))) if "over" in entry else None
+            predicate, argument = by_name[entry["predicate"]], entry["argument"]
+            form = form_from_json({**entry, "base": predicate.name}, by_name) if "form" in entry else None
+            if isinstance(form, Not):
+                raise ValueError(f"{skill} is counted by {form.predicate.name}")
             predicate = predicate if form is None else form.predicate
-            if predicate.types != (signatures[skill][argument].type,):
+            if predicate.types != (() if argument is None else (signatures[skill][argument].type,)):
                 raise ValueError(f"{predicate.name} is not about argument {argument} of {skill}")
             held, otherwise = ((int(s), int(n)) for s, n in (entry["held"], entry["otherwise"]))
             if not (0 <= held[0] <= held[1] and 0 <= otherwise[0] <= otherwise[1]):

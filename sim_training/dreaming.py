@@ -25,6 +25,7 @@ from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.learning.dataset import ATTEMPT
 from resync_robot.learning.failures import FailureModel, place_beside
 from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
+from resync_robot.planning.outcome_costs import Whim
 
 WHEN = ("before", "after")
 BEYOND = 1.5
@@ -163,9 +164,8 @@ class Dreamer:
     def live(self, dream: Dream) -> list[Trajectory]:
         """Live through one dream; empty where no scene of it stands.
 
-        What fails beside causes that a recovery is known for is followed by that recovery at once, whichever skill it
-        was: so it shows whether the recovery works with something in the hand, too. Where it does not, the dream begins
-        again with the recovery first, which only a resettable world allows.
+        A failure that a recovery is known for is followed by it at once. One that leaves the robot in no condition for
+        it, with something in its hand, say, begins again with the recovery first, which only a resettable world allows.
         Failed attempts are kept: they tell a classifier where its boundary lies.
         """
         for again in range(REDRAWN):
@@ -175,8 +175,10 @@ class Dreamer:
                 break
         else:
             return []
+        # Of plans that are as good each dream has its own: else it would always be the same thing that is done first.
+        model = replace(self.model, costs=Whim(dream.seed))
         if dream.attempt:
-            result = plan_and_execute(simulator, self.model, task.goal, ExecuteSettings(max_failures=1))
+            result = plan_and_execute(simulator, model, task.goal, ExecuteSettings(max_failures=1))
             return [Trajectory(result.transitions, task.goal, result.success, dream.source)]
         # The newest first: the older ones are planned for.
         wanted = [p for p in reversed(dream.placements) if p.when == "before"]
@@ -186,13 +188,13 @@ class Dreamer:
             for p in left:
                 failure = self.failures[p.failure]
                 about = reference_of(state, failure, p.reference)
-                if failure.argument is None or about in failed.objects:
+                if failure.skill == failed.name and (failure.argument is None or about in failed.objects):
                     left.remove(p)
                     return self._recovery(p, state, failed.objects)
             return None
 
         settings = ExecuteSettings(max_failures=1 + len(wanted))
-        result = plan_and_execute(simulator, self.model, task.goal, settings, reaction=react)
+        result = plan_and_execute(simulator, model, task.goal, settings, reaction=react)
         found = [self._until_in_vain(Trajectory(result.transitions, task.goal, result.success, dream.source))]
         done = {(t.skill, t.objects) for t in result.transitions if t.succeeded}
         missed = [g for p in wanted if (g := self._recovery(p, task.initial)) and (g.name, g.objects) not in done]

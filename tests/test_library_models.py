@@ -164,12 +164,30 @@ def test_a_recovery_record_that_lacks_a_part_is_refused(part: str) -> None:
         {"experience": {"Pick": [{"predicate": "HandEmpty", "argument": 0}]}},
         {
             "experience": {
-                "Pick": [{"predicate": "On", "over": [1], "argument": 0, "held": [1, 2], "otherwise": [0, 0]}]
+                "Pick": [
+                    {
+                        "predicate": "On",
+                        "form": "Exists",
+                        "over": [1],
+                        "argument": 0,
+                        "held": [1, 2],
+                        "otherwise": [0, 0],
+                    }
+                ]
             }
         },
         {
             "experience": {
-                "Pick": [{"predicate": "On", "over": [2], "argument": 1, "held": [1, 2], "otherwise": [0, 0]}]
+                "Pick": [
+                    {
+                        "predicate": "On",
+                        "form": "Exists",
+                        "over": [2],
+                        "argument": 1,
+                        "held": [1, 2],
+                        "otherwise": [0, 0],
+                    }
+                ]
             }
         },
     ],

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from resync_robot.core.symbols import Operator, Predicate
+from resync_robot.core.symbols import Atom, Operator, Predicate
 from resync_robot.core.trajectory import Trajectory
-from resync_robot.planning.abstract import Abstraction, Exists, Not
+from resync_robot.planning.abstract import Abstraction, Exists, ForAll, Not, form_to_json
 
 
 def experience(
@@ -19,28 +19,23 @@ def experience(
     """Skill name -> tallies of its attempts, those only whose preconditions held.
 
     Args:
-        given: predicates of several arguments of which it is counted, too, whether they hold of one of them and
-            anything else: that a hand holds something may never have been tried.
+        given: what was not learned. Of these it is counted whether they hold of one argument and anything else: that a
+            hand holds something may never have been tried. Of what was learned of one thing it is counted whether it
+            holds of all: what bars one thing may be in the way to another.
 
     Returns:
-        Plain data: for each argument and each predicate of that argument alone, negations left out, `predicate`,
-        `argument` (its position), and [successes, attempts] where the atom `held`, and `otherwise`; `over` where it is
-        the arguments of the predicate that anything may stand for.
+        Plain data: for each predicate of one argument of the skill, or of none, negations left out, `predicate`,
+        `argument` (its position, or null), and [successes, attempts] where the atom `held`, and `otherwise`; `form` and
+        `over` where the predicate that is counted follows from that one.
     """
     by_name = {o.name: o for o in operators}
-    forms = {f.predicate: f for f in _of_one(given) if f.predicate not in abstraction.predicates}
-    plain = [p for p in abstraction.predicates if not isinstance(abstraction.classifiers[p.name], Not)]
+    forms = _forms(abstraction, given)
     grounded = Abstraction(
         (*abstraction.predicates, *forms), {**abstraction.classifiers, **{p.name: f for p, f in forms.items()}}
     )
-    counts = {
-        o.name: {
-            (p, i): {True: [0, 0], False: [0, 0]}
-            for p in (*plain, *forms)
-            for i, v in enumerate(o.parameters)
-            if p.types == (v.type,)
-        }
-        for o in operators
+    plain = [p for p in grounded.predicates if not isinstance(grounded.classifiers[p.name], Not)]
+    counts: dict[str, dict[tuple[Predicate, int | None], dict[bool, list[int]]]] = {
+        o.name: {(p, i): {True: [0, 0], False: [0, 0]} for p in plain for i in _places(p, o)} for o in operators
     }
     for trajectory in trajectories:
         for t in trajectory.transitions:
@@ -50,30 +45,43 @@ def experience(
             atoms = grounded.true_atoms(t.before)
             if not operator.ground(t.objects).applicable(atoms):
                 continue
-            for (predicate, argument), by in counts[t.skill].items():
-                count = by[predicate(t.objects[argument]) in atoms]
+            for (predicate, i), by in counts[t.skill].items():
+                count = by[Atom(predicate, () if i is None else (t.objects[i],)) in atoms]
                 count[0] += t.succeeded
                 count[1] += 1
     return {
         skill: [
-            {"predicate": p.name, "argument": i, "held": by[True], "otherwise": by[False]}
-            if (form := forms.get(p)) is None
-            else {
-                "predicate": form.base.name,
-                "over": list(form.over),
-                "argument": i,
-                "held": by[True],
-                "otherwise": by[False],
-            }
-            for (p, i), by in sorted(tallies.items(), key=lambda item: (item[0][0].name, item[0][1]))
+            {**_named(p, forms), "argument": i, "held": by[True], "otherwise": by[False]}
+            for (p, i), by in sorted(tallies.items(), key=lambda item: (item[0][0].name, item[0][1] or 0))
         ]
         for skill, tallies in counts.items()
     }
 
 
-def _of_one(predicates: Iterable[Predicate]) -> Iterator[Exists]:
-    """Each predicate of several arguments as one of each argument alone."""
-    for predicate in predicates:
+def _forms(abstraction: Abstraction, given: Collection[Predicate]) -> dict[Predicate, Exists | ForAll]:
+    """What is counted though the model does not know it."""
+    found: list[Exists | ForAll] = []
+    for predicate in given:
         places = range(len(predicate.types))
         if len(places) > 1:
-            yield from (Exists(predicate, tuple(i for i in places if i != kept)) for kept in places)
+            found += [Exists(predicate, tuple(i for i in places if i != kept)) for kept in places]
+    for predicate in abstraction.predicates:
+        negation = isinstance(abstraction.classifiers[predicate.name], Not)
+        if predicate not in given and len(predicate.types) == 1 and not negation:
+            found.append(ForAll(predicate, (0,)))
+    return {form.predicate: form for form in found if form.predicate not in abstraction.predicates}
+
+
+def _places(predicate: Predicate, operator: Operator) -> list[int | None]:
+    """Which of the operator's parameters it can be about."""
+    if not predicate.types:
+        return [None]
+    return [i for i, v in enumerate(operator.parameters) if predicate.types == (v.type,)]
+
+
+def _named(predicate: Predicate, forms: dict[Predicate, Exists | ForAll]) -> dict[str, Any]:
+    form = forms.get(predicate)
+    if form is None:
+        return {"predicate": predicate.name}
+    described = form_to_json(form)
+    return {"predicate": form.base.name, "form": described["form"], "over": described["over"]}

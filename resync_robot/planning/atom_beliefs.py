@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from resync_robot.core.skill import SkillEnd, SkillOutcome
-from resync_robot.core.symbols import Atom, Atoms, GroundOperator
+from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object
 from resync_robot.planning.abstract import HOLDS
 from resync_robot.planning.outcome_costs import OutcomeCosts
 
@@ -84,7 +84,8 @@ class AtomBeliefs:
             Whether its effects came true, as far as can be told.
         """
         before = {a: self.probability(a) for a in step.preconditions}
-        success = self._costs.success(step, self._costs.circumstances(self.certain()))
+        there = {o for atom in self._seen for o in atom.args if isinstance(o, Object)}
+        success = self._costs.success(step, self._costs.circumstances(self.certain(), there))
         self.perceived(probabilities)
         self._expect(step, outcome, success)
         certain = self.certain()

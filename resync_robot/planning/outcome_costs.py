@@ -8,38 +8,44 @@ most likely works as a whole.
 from __future__ import annotations
 
 import math
+import random
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from resync_robot.core.symbols import Atom, GroundOperator, Predicate
-from resync_robot.planning.abstract import Exists
+from resync_robot.core.symbols import Atom, GroundOperator, Object, Predicate
+from resync_robot.planning.abstract import Exists, ForAll
 
 Count = tuple[int, int]
 """(successes, attempts)."""
+FANCY = 0.05
+"""By how much a whim makes a step dearer, at most: less than one step in a plan of twenty."""
 
 
 @dataclass(frozen=True)
 class Tally:
-    """How the attempts of a skill went whose preconditions held, by an atom about one of its arguments.
+    """How the attempts of a skill went whose preconditions held, by an atom about one of its arguments, or about all
+    there is.
 
     The tallies of one skill count the same attempts.
 
     Attributes:
-        predicate: of one argument.
-        argument: position of that argument among those of the skill.
+        predicate: of one argument, or of none.
+        argument: position of that argument among those of the skill; None where it has none.
         held: the attempts before which the atom held.
         otherwise: the rest.
-        form: what `predicate` follows from where the model does not know it: "it holds something".
+        form: what `predicate` follows from where the model does not know it: "it holds something", "all are ready".
     """
 
     predicate: Predicate
-    argument: int
+    argument: int | None
     held: Count
     otherwise: Count
-    form: Exists | None = None
+    form: Exists | ForAll | None = None
 
     def atom(self, step: GroundOperator) -> Atom:
-        return self.predicate(step.objects[self.argument])
+        return self.predicate(*(() if self.argument is None else (step.objects[self.argument],)))
 
     @property
     def total(self) -> Count:
@@ -70,8 +76,7 @@ class OutcomeCosts:
         self, tallies: Mapping[str, Sequence[Tally]] | None = None, settings: CostSettings | None = None
     ) -> None:
         self._tallies, self._settings = dict(tallies or {}), settings or CostSettings()
-        forms = dict.fromkeys(t.form for of in self._tallies.values() for t in of if t.form is not None)
-        self._forms = {form.base: [f for f in forms if f.base == form.base] for form in forms}
+        self._forms = tuple(dict.fromkeys(t.form for of in self._tallies.values() for t in of if t.form is not None))
 
     def atoms(self, step: GroundOperator) -> list[Atom]:
         """What its success hangs on beside its preconditions."""
@@ -80,14 +85,29 @@ class OutcomeCosts:
     @property
     def bases(self) -> frozenset[Predicate]:
         """The predicates that `circumstances` derives others from."""
-        return frozenset(self._forms)
+        return frozenset(form.base for form in self._forms)
 
-    def circumstances(self, atoms: Collection[Atom]) -> frozenset[Atom]:
-        """`atoms`, and what follows from them that steps hang on; `success` and `cost` ask for these."""
+    def circumstances(self, atoms: Collection[Atom], objects: Collection[Object]) -> frozenset[Atom]:
+        """`atoms`, and what follows from them that steps hang on; `success` and `cost` ask for these.
+
+        Args:
+            objects: all there are.
+        """
         if not self._forms:
             return frozenset(atoms)
-        follow = (Atom(f.predicate, f.keeps(a.args)) for a in atoms for f in self._forms.get(a.predicate, ()))  # type: ignore[arg-type]
-        return frozenset(atoms).union(follow)
+        holding: dict[Predicate, list[tuple[Any, ...]]] = {}
+        for atom in atoms:
+            holding.setdefault(atom.predicate, []).append(atom.args)
+        follow: set[Atom] = set()
+        for form in self._forms:
+            kept = Counter(form.keeps(args) for args in holding.get(form.base, ()))
+            needed = 1
+            if isinstance(form, ForAll):
+                needed = math.prod(sum(o.type == form.base.types[i] for o in objects) for i in form.over)
+                if not needed and not form.predicate.types:
+                    follow.add(form.predicate())
+            follow |= {Atom(form.predicate, args) for args, times in kept.items() if times >= needed}
+        return frozenset(atoms) | follow
 
     def success(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
         """Probability that the step succeeds where its preconditions and these `circumstances` hold.
@@ -121,3 +141,14 @@ class OutcomeCosts:
         s, (all_won, all_lost) = self._settings, self._whole(step)
         usual = (all_won + s.weight * s.prior) / (all_won + all_lost + s.weight)
         return (won + s.weight * (usual + s.prior)) / (won + lost + 2 * s.weight)
+
+
+class Whim(OutcomeCosts):
+    """Costs that prefer one of several plans as short as each other, another one for each seed."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__()
+        self._seed = seed
+
+    def cost(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
+        return self.least(step) * (1.0 + FANCY * random.Random(f"{self._seed} {step}").random())

@@ -248,7 +248,8 @@ class _Problem:
         if not goal:
             raise PlanningError("the goal is empty: there is nothing to plan for")
         self.goal, self.atoms, self._costs = goal, atoms, costs or OutcomeCosts()
-        self.ground = ground_all(operators, objects)
+        self._objects = tuple(objects)
+        self.ground = ground_all(operators, self._objects)
         changed = atoms.union(*(op.add for op in self.ground)) if self._costs.bases else frozenset()
         self._asked = sorted(
             goal.union(
@@ -292,7 +293,8 @@ class _Problem:
 
     def circumstances(self, state: frozenset[int]) -> frozenset[Atom]:
         """What the costs of steps hang on, in a state of the search."""
-        return self._costs.circumstances([self._asked[i - 1] for i in state if 0 < i <= len(self._asked)])
+        holding = [self._asked[i - 1] for i in state if 0 < i <= len(self._asked)]
+        return self._costs.circumstances(holding, self._objects)
 
     def cost(self, op: PyperplanOperator, holding: Collection[Atom]) -> int:
         """Of an operator in these `circumstances`, in COST_UNIT."""

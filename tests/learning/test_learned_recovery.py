@@ -1,4 +1,4 @@
-"""What a learned recovery does from one action to the next: the failed skill first, the policy then, until it is done."""
+"""What a learned recovery does: the failed skill first, then the policy, until it is done or gives up."""
 
 from __future__ import annotations
 

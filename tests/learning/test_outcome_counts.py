@@ -46,7 +46,7 @@ def test_attempts_are_counted_by_what_held() -> None:
         Trajectory((*tried[:2], unknown), frozenset({FULL(A)}), True, "dream"),
         Trajectory(tuple(tried[2:]), frozenset({FULL(A)}), False, "dream"),
     ]
-    found = experience(runs, ABSTRACTION, (FILL,))
+    found = experience(runs, ABSTRACTION, (FILL,), given=(OPEN, FULL, CLEAN))
     assert set(found) == {"Fill"}
     assert found["Fill"] == [
         {"predicate": "Clean", "argument": 0, "held": [3, 4], "otherwise": [0, 0]},
@@ -60,10 +60,20 @@ def test_it_counts_too_whether_a_given_predicate_holds_of_an_argument_and_anythi
     abstraction = Abstraction((*ABSTRACTION.predicates, BESIDE), classifiers)
     tried = [attempt(A, True, open=1, clean=1), attempt(A, False, open=1, clean=1, full=1)]
     runs = [Trajectory(tuple(tried), frozenset({FULL(A)}), True, "dream")]
-    found = experience(runs, abstraction, (FILL,), given=(OPEN, BESIDE))["Fill"]
+    found = experience(runs, abstraction, (FILL,), given=(OPEN, FULL, CLEAN, BESIDE))["Fill"]
     assert [t for t in found if "over" in t] == [
         # The other cup is full each time, the filled one once.
-        {"predicate": "Beside", "over": [0], "argument": 0, "held": [0, 1], "otherwise": [1, 1]},
-        {"predicate": "Beside", "over": [1], "argument": 0, "held": [1, 2], "otherwise": [0, 0]},
+        {"predicate": "Beside", "form": "Exists", "over": [0], "argument": 0, "held": [0, 1], "otherwise": [1, 1]},
+        {"predicate": "Beside", "form": "Exists", "over": [1], "argument": 0, "held": [1, 2], "otherwise": [0, 0]},
     ]
-    assert [t for t in found if "over" not in t] == experience(runs, abstraction, (FILL,))["Fill"]
+    plain = experience(runs, ABSTRACTION, (FILL,), given=(OPEN, FULL, CLEAN))["Fill"]
+    assert [t for t in found if "over" not in t] == plain
+
+
+def test_it_counts_too_whether_what_was_learned_holds_of_all() -> None:
+    tried = [attempt(A, True, open=1, clean=1), attempt(A, False, open=1, clean=1, full=1)]
+    runs = [Trajectory(tuple(tried), frozenset({FULL(A)}), True, "dream")]
+    found = experience(runs, ABSTRACTION, (FILL,), given=(OPEN, CLEAN))["Fill"]
+    assert [t for t in found if "form" in t] == [
+        {"predicate": "Full", "form": "ForAll", "over": [0], "argument": None, "held": [0, 1], "otherwise": [1, 1]}
+    ]

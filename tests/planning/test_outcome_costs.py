@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Atoms, Operator, Predicate
 from resync_robot.core.vocabulary import BLOCK
-from resync_robot.planning.abstract import Exists
+from resync_robot.planning.abstract import Exists, ForAll
 from resync_robot.planning.outcome_costs import CostSettings, OutcomeCosts, Tally
 from resync_robot.planning.search import ground_all, plan
 from tests.planning.kitchen import CLEAN, FILL, FULL, OPEN, UNLID, WIPE, A, B, X
@@ -76,9 +76,21 @@ def test_what_nobody_tried_with_a_full_hand_is_done_before_the_hand_is_full() ->
     assert [s.name for s in found.steps] == ["Recover", "Recover", "Pick", "Insert"]
     holding = {HOLDING(ROBOT_0, BLOCKS[1])}
     recover = anytime.ground((ROBOT_0, BLOCKS[0], BOX_0))
-    empty, full = (empty_handed.success(recover, empty_handed.circumstances(a)) for a in (set(), holding))
+    empty, full = (empty_handed.success(recover, empty_handed.circumstances(a, objects)) for a in (set(), holding))
     assert full < empty
-    assert empty_handed.circumstances(holding) == {*holding, holds.predicate(ROBOT_0)}
+    assert empty_handed.circumstances(holding, objects) == {*holding, holds.predicate(ROBOT_0)}
+
+
+def test_what_bars_one_thing_may_be_in_the_way_to_another() -> None:
+    """All cups are wiped before the first is filled, where that failed beside a dirty one."""
+    all_clean = ForAll(CLEAN, (0,))
+    costs = OutcomeCosts({"Fill": [Tally(all_clean.predicate, None, (40, 40), (20, 30), all_clean)]})
+    goal = frozenset({FULL(A), FULL(B)})
+    open_ = frozenset({OPEN(A), OPEN(B), CLEAN(A)})
+    assert [s.name for s in plan((FILL, WIPE), (A, B), open_, goal, costs=costs).steps] == ["Wipe", "Fill", "Fill"]
+    assert all_clean.predicate() in costs.circumstances({CLEAN(A), CLEAN(B)}, (A, B))
+    assert all_clean.predicate() not in costs.circumstances({CLEAN(A)}, (A, B))
+    assert all_clean.predicate() in costs.circumstances(set(), ()), "all of none"
 
 
 def test_out_of_reach_is_told_as_without_costs() -> None:
