@@ -153,7 +153,7 @@ class Dreamer:
         reference = reference_of(state, failure, p.reference)
         for known, cause in zip(failure.causes, causes_of(state, failure), strict=True):
             before, after = failure.before[known].sample(rng), failure.after[known].sample(rng)
-            share = rng.uniform(0.0, BEYOND) if spread else float(p.when == "after")
+            share = _somewhere(rng) if spread else float(p.when == "after")
             state = place_beside(self.domain, state, cause, reference, before + share * (after - before), rng)
             # What is there or not, as a region that is active, has nothing in between.
             recovered = int(rng.random() < share)
@@ -237,6 +237,12 @@ class Dreamer:
             others = [o for o in (*failed, *sorted(state.of_type(kind), key=_by_name)) if o.type == kind]
             objects.append(next(o for o in others if o not in objects))
         return skill.ground(tuple(objects))
+
+
+def _somewhere(rng: np.random.Generator) -> float:
+    """A share of the way from before to after, or beyond; half of the time a small one, for nobody knows how little it
+    takes."""
+    return float(BEYOND * rng.random() ** (3 if rng.random() < 0.5 else 1))
 
 
 def reference_of(state: State, failure: FailureModel, number: int) -> Object:
