@@ -130,13 +130,10 @@ class _Run:
     ) -> None:
         self._recovery, self._view, self._failed, self._longest = recovery, view, failed, longest
         self._middle, self._half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
-        self._begun, self._approaching, self._steps = False, True, 0
+        self._approaching, self._steps = True, 0
 
     def step(self, observation: Observation) -> Any:
-        if not self._begun:
-            self._begun = True
-            if self._is_done(self._see(observation)):
-                return SkillOutcome(SkillEnd.DONE)
+        # Whether it is needed the failed skill tells best: beta_N has seen states like those in which that one ends.
         # What it looks like is dear to tell, and the failed skill, which may take thousands of actions, need not know.
         if self._approaching:
             answer = self._failed.step(observation)

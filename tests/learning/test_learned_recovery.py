@@ -77,8 +77,8 @@ def test_it_gives_up_after_twice_an_episode_of_training() -> None:
     assert (outcome.ending, actions) == (SkillEnd.TIMEOUT, 3 + PATIENCE * 12)
 
 
-def test_it_does_nothing_where_it_is_done_already() -> None:
-    assert run(recovery(9.0), Counted(SkillEnd.BLOCKED, 3)) == (SkillOutcome(SkillEnd.DONE), 0)
+def test_it_is_done_where_beta_says_so_once_the_policy_has_acted() -> None:
+    assert run(recovery(9.0), Counted(SkillEnd.BLOCKED, 3)) == (SkillOutcome(SkillEnd.DONE), 4)
 
 
 def test_it_refuses_where_the_skill_does_not_fail() -> None:

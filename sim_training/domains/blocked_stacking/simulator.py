@@ -135,7 +135,8 @@ class Bench:
         """`action` = (dx, dy, dtheta, darm, dgap): by how much the robot moves within `duration`, m and rad."""
         step = [min(max(float(a), -most), most) for a, most in zip(action, LIMITS.values(), strict=True)]
         self.time, self._touched = self.time + duration, {}
-        opens = self._held is not None and step[4] > 0.001
+        # However little: where it took hold of a block with the fingers far apart, little more is left to open.
+        opens = self._held is not None and step[4] > 1e-6
         if self._held is None and step[4] < -0.001:
             self._close(self._at.gap + step[4])
         if self._held is not None and not opens:

@@ -157,6 +157,13 @@ def test_a_block_is_grasped_carried_and_let_go() -> None:
     assert abs(fallen[TOP][1] - closing[TOP][1]) < 0.003 and abs(fallen[TOP][2]) < 0.02
 
 
+def test_the_least_opening_lets_go() -> None:
+    """A hand that took hold of a block with one finger at once has hardly anything left to open."""
+    world = world_over(above=-0.1)
+    assert act(world, 6, dgap=-0.02)[TOP][-1] == 1.0
+    assert act(world, 1, dgap=0.0005)[TOP][-1] == 0.0
+
+
 def test_a_hand_that_does_not_reach_down_to_a_block_grasps_nothing() -> None:
     world = world_over(above=-0.02)
     assert act(world, 8, dgap=-0.02)[TOP][-1] == 0.0
