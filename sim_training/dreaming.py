@@ -188,9 +188,10 @@ class Dreamer:
             for p in left:
                 failure = self.failures[p.failure]
                 about = reference_of(state, failure, p.reference)
-                if failure.skill == failed.name and (failure.argument is None or about in failed.objects):
+                first = failed.first
+                if failure.skill == first.name and (failure.argument is None or about in first.objects):
                     left.remove(p)
-                    return self._recovery(p, state, failed.objects)
+                    return self._recovery(p, state, first.objects)
             return None
 
         settings = ExecuteSettings(max_failures=1 + len(wanted))

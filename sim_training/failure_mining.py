@@ -16,10 +16,10 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.learning.failures import spread_beside
-from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute
+from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute, run_skill
 
 LATELY = 5
-"""Actions before the end of an attempt whose contacts count: what stops a skill is what it runs into last."""
+"""Last moments of an attempt with contacts that count: what stops a skill is what it runs into last."""
 CLEARER = 0.5
 """Share of the spread beside an argument of the failed skill, below which another object tells better where the culprit
 lies."""
@@ -79,13 +79,18 @@ class _LastContacts(Listener):
     def __init__(self, simulator: TrainingSimulator[Any, Any]) -> None:
         self._simulator = simulator
         self._recent: list[Mapping[Object, float]] = []
+        self.begun: Any = None
         self.ended: tuple[GroundSkill, Mapping[Object, float]] | None = None
 
     def on_skill_start(self, skill: GroundSkill) -> None:
         self._recent = []
+        if skill.first != skill:
+            self.begun = self._simulator.save()
 
     def on_control(self, observation: Any, action: Any) -> None:
-        self._recent = [*self._recent, self._simulator.contacts()][-LATELY:]
+        # A hand that ran into something may have drawn back from it since.
+        if contacts := self._simulator.contacts():
+            self._recent = [*self._recent, contacts][-LATELY:]
 
     def on_skill_end(self, skill: GroundSkill, outcome: SkillOutcome) -> None:
         hardest: dict[Object, float] = {}
@@ -96,7 +101,11 @@ class _LastContacts(Listener):
 
 
 def attempt(embodiment: Embodiment, task: Task, model: Model) -> FailedAttempt | None:
-    """Plan and execute up to the first failure. None where nothing fails, or the scene does not stand still."""
+    """Plan and execute up to the first failure. None where nothing fails, or the scene does not stand still.
+
+    A recovery of an earlier stage begins with the skill that it mends. Where that fails in a new way, in which the
+    recovery does not help, it is that skill which failed.
+    """
     simulator = embodiment.simulate(task)
     if not simulator.reset(task.initial):
         return None
@@ -105,6 +114,13 @@ def attempt(embodiment: Embodiment, task: Task, model: Model) -> FailedAttempt |
     if not result.transitions or result.transitions[-1].succeeded or heard.ended is None:
         return None
     skill, run_into = heard.ended
+    if skill.first != skill:
+        after = simulator.save()
+        simulator.restore(heard.begun)
+        if not run_skill(simulator, skill.first, heard).done:
+            skill, run_into = heard.ended
+        else:
+            simulator.restore(after)
     return FailedAttempt(task, result.transitions[-1].before, simulator.perceive(), skill.name, skill.objects, run_into)
 
 

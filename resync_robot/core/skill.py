@@ -62,6 +62,7 @@ class Skill(Generic[ObservationT, ActionT]):
         time_limit_s: after so many s of control steps, at full speed, the executive stops it with TIMEOUT.
         live_state: the skill follows the objects while it runs, and so needs their poses at every step.
         effort_limit: (6,) N m that the arm may use while it runs, or None for its own. Only an arm has one.
+        begins_with: of a learned recovery: its objects -> the skill that it mends, which it runs first.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Skill(Generic[ObservationT, ActionT]):
     time_limit_s: float
     live_state: bool = False
     effort_limit: tuple[float, ...] | None = None
+    begins_with: Callable[[tuple[Object, ...]], GroundSkill] | None = field(default=None, repr=False, compare=False)
 
     def ground(self, objects: tuple[Object, ...]) -> GroundSkill:
         if tuple(o.type for o in objects) != self.types:
@@ -90,6 +92,11 @@ class GroundSkill:
     @property
     def name(self) -> str:
         return self.skill.name
+
+    @property
+    def first(self) -> GroundSkill:
+        """What runs first: itself, or, of a learned recovery, the skill that it mends."""
+        return self if self.skill.begins_with is None else self.skill.begins_with(self.objects).first
 
     def __str__(self) -> str:
         return f"{self.skill.name}({', '.join(map(str, self.objects))})"

@@ -74,7 +74,15 @@ class LearnedRecovery:
             return _Run(self, RelationalView(objects[: self.sees], relations), begun, longest, limits)
 
         limit = failed.time_limit_s + (PATIENCE * self.horizon + 2) / embodiment.rate_hz
-        return Skill(self.name, self.types, start, embodiment.rate_hz, limit, live_state=True)
+        return Skill(
+            self.name,
+            self.types,
+            start,
+            embodiment.rate_hz,
+            limit,
+            live_state=True,
+            begins_with=lambda objects: failed.ground(tuple(objects[i] for i in self.arguments)),
+        )
 
     def to_record(self) -> Record:
         """Weights and what they are for."""
