@@ -47,6 +47,11 @@ class Model:
         return self.skills[name]
 
 
+AGAIN = 0.05
+"""Cost of beginning with a step that failed just now, less than that of any further step: of plans as good as each
+other one that does something else first, which may change what that step failed of."""
+
+
 class Reaction(Protocol):
     """What a reactive method does about a failed skill (Recovery Chaining); the default does nothing."""
 
@@ -163,11 +168,13 @@ def plan_and_execute(
                 return run.ended(EpisodeEnd.STOPPED, f"{step} was declined")
             outcome, came_true = run.attempt(step)
             if came_true:
+                run.in_vain.clear()
                 continue
             listener.on_effects_missing(step)
             words = outcome.reason or "effects missing"
             reason = f"{step} did not do what it should ({outcome.ending.value}: {words})"
             failures[str(step)] += 1
+            run.in_vain[str(step)] = AGAIN
             if failures[str(step)] >= s.max_failures:
                 return run.ended(EpisodeEnd.STUCK, reason)
             failed = model.skill(step.name).ground(step.objects)
@@ -185,6 +192,8 @@ class _Episode:
         self.state = State({})
         self.atoms: Atoms = frozenset()
         """What plans may build on now: what is certain, and what the current plan relies on as long as it is likely."""
+        self.in_vain: dict[str, float] = {}
+        """Steps that failed since the last one that did not, in words, and what it costs to begin with one again."""
         self._plans: list[Plan] = []
         self._transitions: list[Transition] = []
         self._supposed: set[str] = set()
@@ -207,7 +216,15 @@ class _Episode:
         model, s, objects = self._model, self._settings, self.state.objects
         certain, likely = self.beliefs.certain(), self.beliefs.likely()
         try:
-            found = plan(model.operators, objects, certain, self._goal, s.heuristic, costs=model.costs)
+            found = plan(
+                model.operators,
+                objects,
+                certain,
+                self._goal,
+                s.heuristic,
+                costs=model.costs,
+                rather_not=self.in_vain,
+            )
         except PlanningError as error:
             found, trust = self._plan_on_trust(error, certain, likely)
             reason = f"{reason}; no plan otherwise, {trust}"
@@ -223,7 +240,16 @@ class _Episode:
         operators, goal, heuristic, costs = model.operators, self._goal, s.heuristic, model.costs
         if likely:
             try:
-                found = plan(operators, objects, certain, goal, heuristic, costs=costs, likely=likely)
+                found = plan(
+                    operators,
+                    objects,
+                    certain,
+                    goal,
+                    heuristic,
+                    costs=costs,
+                    likely=likely,
+                    rather_not=self.in_vain,
+                )
                 return found, "relying on " + ", ".join(f"{a} ({likely[a]:.2f})" for a in sorted(found.relies_on))
             except PlanningError:
                 pass

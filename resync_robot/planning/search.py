@@ -106,19 +106,21 @@ def plan(
     max_nodes: int = 50_000,
     costs: OutcomeCosts | None = None,
     likely: Mapping[Atom, float] | None = None,
+    rather_not: Mapping[str, float] | None = None,
 ) -> Plan:
     """The cheapest plan, by A* (with a heuristic that never overestimates); always the same one for the same input.
 
     Args:
         costs: of the steps. Without them, or without counts in them, the plan is a shortest one.
         likely: further atoms with their probabilities p. The plan may rely on them from its start, at -log p for each.
+        rather_not: ground steps, in words, that the plan had better not begin with, and what it costs if it does.
 
     Raises:
         PlanningError: no plan reaches the goal, or none was found within `max_nodes`.
         UnknownNameError: the heuristic does not exist.
     """
     start = time.perf_counter()
-    problem = _Problem(operators, objects, atoms, goal, costs=costs, likely=likely)
+    problem = _Problem(operators, objects, atoms, goal, costs=costs, likely=likely, rather_not=rather_not)
     estimate = problem.heuristic(heuristic)
     created = 0
 
@@ -154,7 +156,7 @@ def _cheapest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] 
             return operators
         holding = problem.circumstances(node.state)
         for op, state in problem.task.get_successor_states(node.state):
-            child = SearchNode(state, node, op, node.g + problem.cost(op, holding))
+            child = SearchNode(state, node, op, node.g + problem.cost(op, holding) + problem.qualms(op, node))
             if child.g >= best.get(state, INFINITY) or (steps := h(child)) == INFINITY:
                 continue
             best[state] = child.g
@@ -244,6 +246,7 @@ class _Problem:
         keep_useless: bool = False,
         costs: OutcomeCosts | None = None,
         likely: Mapping[Atom, float] | None = None,
+        rather_not: Mapping[str, float] | None = None,
     ) -> None:
         if not goal:
             raise PlanningError("the goal is empty: there is nothing to plan for")
@@ -266,7 +269,11 @@ class _Problem:
 
         # Fact 0 always holds and stands for "no precondition": pyperplan's own stand-in is a string. The last one holds
         # until the first step, where there is anything to rely on.
-        first = frozenset({len(self._asked) + 1}) if self._likely else frozenset()
+        self._first = first = frozenset({len(self._asked) + 1}) if self._likely else frozenset()
+        unwanted = rather_not or {}
+        self._qualms = {
+            i: round(unwanted[str(op)] / COST_UNIT) for i, op in enumerate(self.ground) if str(op) in unwanted
+        }
         steps = [
             PyperplanOperator(i, facts(op.preconditions) or {0}, facts(op.add), facts(op.delete) | first)
             for i, op in enumerate(self.ground)
@@ -301,6 +308,12 @@ class _Problem:
         if op.name >= len(self.ground):
             return round(-math.log(self._likely[op.name - len(self.ground)][1]) / COST_UNIT)
         return round(self._costs.cost(self.ground[op.name], holding) / COST_UNIT)
+
+    def qualms(self, op: PyperplanOperator, node: SearchNode) -> int:
+        """What it costs to begin with this operator; 0 where it is not the first step."""
+        if op.name not in self._qualms or not (node.parent is None or self._first & node.state):
+            return 0
+        return self._qualms[op.name]
 
     def steps(self, found: Sequence[Any]) -> tuple[GroundOperator, ...]:
         return tuple(self.ground[op.name] for op in found if op.name < len(self.ground))

@@ -136,3 +136,18 @@ def cheapest(atoms: Atoms, goal: Atoms, costs: OutcomeCosts) -> float:
                 best[after], pushed = cost, pushed + 1
                 heapq.heappush(queue, (cost, pushed, after))
     return math.inf
+
+
+def test_what_failed_just_now_is_not_begun_with_where_something_else_is_as_good() -> None:
+    goal = frozenset({FULL(A), FULL(B)})
+    atoms = frozenset({OPEN(A), OPEN(B), CLEAN(A), CLEAN(B)})
+    usual = plan((FILL,), (A, B), atoms, goal).steps
+    other = plan((FILL,), (A, B), atoms, goal, rather_not={str(usual[0]): 0.05}).steps
+    assert other == usual[::-1]
+    # Relying on something is no step.
+    likely = {CLEAN(B): 0.9}
+    relying = plan((FILL,), (A, B), atoms - {CLEAN(B)}, goal, likely=likely, rather_not={str(usual[0]): 0.05}).steps
+    assert relying == usual[::-1]
+    # Not at the price of a further step.
+    alone = plan((FILL, WIPE), (A, B), atoms, frozenset({FULL(A)}), rather_not={"Fill(a)": 0.05})
+    assert [str(s) for s in alone.steps] == ["Fill(a)"]
