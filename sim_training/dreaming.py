@@ -204,10 +204,11 @@ class Dreamer:
         return found
 
     def _until_in_vain(self, lived: Trajectory) -> Trajectory:
-        """Up to the first recovery that failed: what fails behind it may fail of the mess that it left."""
-        recoveries = {f.recovery for f in self.failures}
-        for i, t in enumerate(lived.transitions):
-            if t.skill in recoveries and not t.succeeded:
+        """Up to the first recovery that failed, and that another one did not follow: what fails behind it may fail of
+        the mess that it left."""
+        tried = [t.skill in {f.recovery for f in self.failures} for t in lived.transitions]
+        for i, (t, recovery) in enumerate(zip(lived.transitions, tried, strict=True)):
+            if recovery and not t.succeeded and not any(tried[i + 1 : i + 2]):
                 return replace(lived, transitions=lived.transitions[: i + 1], solved=False)
         return lived
 

@@ -47,9 +47,9 @@ class Model:
         return self.skills[name]
 
 
-AGAIN = 0.05
-"""Cost of beginning with a step that failed just now, less than that of any further step: of plans as good as each
-other one that does something else first, which may change what that step failed of."""
+AGAIN = 0.09
+"""Cost of beginning with a step that failed just now, less than that of any further step: of plans as good as each other
+one is taken that does something else first, which may change what that step failed of."""
 
 
 class Reaction(Protocol):
@@ -158,6 +158,8 @@ def plan_and_execute(
             return run.ended(EpisodeEnd.PLANNED, f"{len(found.steps)} steps")
         reason = "the plan ended short of the goal"
         for index, step in enumerate(found.steps):
+            if _needless(step, found.steps[index + 1 :], run.atoms, goal):
+                continue
             if missing := step.preconditions - run.atoms:
                 reason = f"{step} needs {', '.join(map(str, sorted(missing)))}"
                 break
@@ -181,6 +183,17 @@ def plan_and_execute(
             if reaction and (recovery := reaction(failed, run.state)) is not None:
                 run.react(recovery)
             break
+
+
+def _needless(step: GroundOperator, rest: Sequence[GroundOperator], atoms: Atoms, goal: Atoms) -> bool:
+    """Whether a step before has done its work already, and the rest of the plan does without it."""
+    if not step.add <= atoms:
+        return False
+    for later in rest:
+        if not later.applicable(atoms):
+            return False
+        atoms = later.apply(atoms)
+    return goal <= atoms
 
 
 class _Episode:

@@ -59,8 +59,10 @@ class CostSettings:
     prior: float = 0.9
     """Probability that a step succeeds which nobody has tried."""
     weight: float = 5.0
-    """How many attempts this expectation counts for, and how many the skill's success in all circumstances together
-    counts for where one of them is judged."""
+    """How many attempts this expectation counts for; twice as many does the skill's success in all circumstances
+    together where some of them are judged."""
+    untried: float = 0.95
+    """Probability of success where nobody tried, as a share of how the skill does on the whole."""
     step: float = 0.1
     """Cost of any step, beside its risk: one more step is worth it where it makes success more likely by a tenth."""
 
@@ -112,17 +114,13 @@ class OutcomeCosts:
     def success(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
         """Probability that the step succeeds where its preconditions and these `circumstances` hold.
 
-        The successes, and the failures, under all these circumstances at once are estimated from the counts under each
-        of them, as if they were independent (naive Bayes). The prior is a beta distribution, between what is expected
-        of any step and how this skill does on the whole: untried circumstances are a little riskier than others.
+        It is estimated from the counts under each of them, and the least favourable one decides: circumstances go
+        together, so to multiply them would count the same thing several times. The prior is a beta distribution around
+        how this skill does on the whole, a little lower: untried circumstances are riskier than others.
         """
-        won, lost = self._whole(step)
-        for tally in self._tallies.get(step.name, ()):
-            all_won, tried = tally.total
-            here_won, here = tally.held if tally.atom(step) in atoms else tally.otherwise
-            won *= here_won / all_won if all_won else 0.0
-            lost *= (here - here_won) / (tried - all_won) if tried > all_won else 0.0
-        return self._posterior(step, won, lost)
+        tallies = self._tallies.get(step.name, ())
+        counts = [tally.held if tally.atom(step) in atoms else tally.otherwise for tally in tallies]
+        return min((self._posterior(step, won, tried) for won, tried in counts), default=self._settings.prior)
 
     def cost(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
         """Of running the step where `atoms` hold; above 0."""
@@ -130,17 +128,19 @@ class OutcomeCosts:
 
     def least(self, step: GroundOperator) -> float:
         """No circumstances make the step cheaper than this."""
-        return self._settings.step - math.log(self._posterior(step, self._whole(step)[0], 0.0))
+        won = self._whole(step)[0]
+        return self._settings.step - math.log(self._posterior(step, won, won))
 
-    def _whole(self, step: GroundOperator) -> tuple[float, float]:
-        """Successes and failures of its skill."""
-        won, tried = next((tally.total for tally in self._tallies.get(step.name, ())), (0, 0))
-        return float(won), float(tried - won)
+    def _whole(self, step: GroundOperator) -> Count:
+        """Successes and attempts of its skill."""
+        return next((tally.total for tally in self._tallies.get(step.name, ())), (0, 0))
 
-    def _posterior(self, step: GroundOperator, won: float, lost: float) -> float:
-        s, (all_won, all_lost) = self._settings, self._whole(step)
-        usual = (all_won + s.weight * s.prior) / (all_won + all_lost + s.weight)
-        return (won + s.weight * (usual + s.prior)) / (won + lost + 2 * s.weight)
+    def _posterior(self, step: GroundOperator, won: int, tried: int) -> float:
+        s, (all_won, all_tried) = self._settings, self._whole(step)
+        if not all_tried:
+            return s.prior
+        usual = (all_won + s.weight * s.prior) / (all_tried + s.weight)
+        return (won + 2 * s.weight * s.untried * usual) / (tried + 2 * s.weight)
 
 
 class Whim(OutcomeCosts):

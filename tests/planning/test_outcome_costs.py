@@ -53,18 +53,21 @@ def test_success_is_estimated_from_counts_and_a_prior() -> None:
     pour = POUR.ground((A,))
     assert OutcomeCosts({}).success(pour, {CLEAN(A)}) == pytest.approx(0.9)
     one = OutcomeCosts({"Pour": [Tally(CLEAN, 0, (98, 100), (0, 0))]})
-    usual = (98 + 5 * 0.9) / (100 + 5)
-    assert one.success(pour, {CLEAN(A)}) == pytest.approx((98 + 5 * usual + 5 * 0.9) / (100 + 10))
-    assert one.success(pour, set()) == pytest.approx((usual + 0.9) / 2), "never tried, and so a little riskier"
+    expected = 0.95 * (98 + 5 * 0.9) / (100 + 5)
+    assert one.success(pour, {CLEAN(A)}) == pytest.approx((98 + 10 * expected) / (100 + 10))
+    assert one.success(pour, set()) == pytest.approx(expected), "never tried, and so a little riskier"
     clean, full = Tally(CLEAN, 0, (90, 100), (0, 0)), Tally(FULL, 0, (5, 10), (85, 90))
     both = OutcomeCosts({"Pour": [clean, full]})
     assert both.atoms(pour) == [CLEAN(A), FULL(A)]
-    # Of 90 successes 5 in 90 were with a full cup, of 10 failures 5 in 10.
-    assert both.success(pour, {CLEAN(A), FULL(A)}) == pytest.approx((5 + 9) / (10 + 10))
-    # That nobody ever tried either of two things is no worse than that nobody tried one.
-    assert both.success(pour, {FULL(A)}) == pytest.approx(0.9)
+    expected = 0.95 * (90 + 4.5) / 105
+    assert both.success(pour, {CLEAN(A), FULL(A)}) == pytest.approx((5 + 10 * expected) / (10 + 10)), "full is worse"
+    assert both.success(pour, {CLEAN(A)}) == pytest.approx((90 + 10 * expected) / (100 + 10)), (
+    clean_only = (90 + 10 * expected) / (100 + 10)
+    assert both.success(pour, {CLEAN(A)}) == pytest.approx(clean_only), "clean is worse than empty"
+    )
+    assert both.success(pour, {FULL(A)}) == both.success(pour, {CLEAN(A), FULL(A)})
     free = OutcomeCosts({"Pour": [clean, full]}, CostSettings(step=0.0))
-    assert free.cost(pour, {CLEAN(A), FULL(A)}) == pytest.approx(-math.log(0.7))
+    assert free.cost(pour, {CLEAN(A), FULL(A)}) == pytest.approx(-math.log((5 + 10 * expected) / 20))
 
 
 def test_what_nobody_tried_with_a_full_hand_is_done_before_the_hand_is_full() -> None:
