@@ -48,8 +48,8 @@ class Model:
 
 
 AGAIN = 0.09
-"""Cost of beginning with a step that failed just now, less than that of any further step: of plans as good as each other
-one is taken that does something else first, which may change what that step failed of."""
+"""Cost of beginning with a step that failed just now, less than that of any further step: of plans as good as each
+other one is taken that does something else first, which may change what that step failed of."""
 
 
 class Reaction(Protocol):

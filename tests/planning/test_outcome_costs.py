@@ -61,10 +61,8 @@ def test_success_is_estimated_from_counts_and_a_prior() -> None:
     assert both.atoms(pour) == [CLEAN(A), FULL(A)]
     expected = 0.95 * (90 + 4.5) / 105
     assert both.success(pour, {CLEAN(A), FULL(A)}) == pytest.approx((5 + 10 * expected) / (10 + 10)), "full is worse"
-    assert both.success(pour, {CLEAN(A)}) == pytest.approx((90 + 10 * expected) / (100 + 10)), (
     clean_only = (90 + 10 * expected) / (100 + 10)
     assert both.success(pour, {CLEAN(A)}) == pytest.approx(clean_only), "clean is worse than empty"
-    )
     assert both.success(pour, {FULL(A)}) == both.success(pour, {CLEAN(A), FULL(A)})
     free = OutcomeCosts({"Pour": [clean, full]}, CostSettings(step=0.0))
     assert free.cost(pour, {CLEAN(A), FULL(A)}) == pytest.approx(-math.log((5 + 10 * expected) / 20))
