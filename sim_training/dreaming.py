@@ -176,7 +176,7 @@ class Dreamer:
         else:
             return []
         # Of plans that are as good each dream has its own: else it would always be the same thing that is done first.
-        model = replace(self.model, costs=Whim(dream.seed))
+        model = replace(self.model, costs=Whim(self.model.costs, dream.seed))
         if dream.attempt:
             result = plan_and_execute(simulator, model, task.goal, ExecuteSettings(max_failures=1))
             return [Trajectory(result.transitions, task.goal, result.success, dream.source)]

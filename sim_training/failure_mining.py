@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.learning.failures import spread_beside
 from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute, run_skill
+from resync_robot.planning.outcome_costs import Whim
 
 LATELY = 5
 """Last moments of an attempt with contacts that count: what stops a skill is what it runs into last."""
@@ -110,6 +111,7 @@ def attempt(embodiment: Embodiment, task: Task, model: Model) -> FailedAttempt |
     if not simulator.reset(task.initial):
         return None
     heard = _LastContacts(simulator)
+    model = replace(model, costs=Whim(model.costs, task.seed))
     result = plan_and_execute(simulator, model, task.goal, ExecuteSettings(max_failures=1), heard)
     if not result.transitions or result.transitions[-1].succeeded or heard.ended is None:
         return None
@@ -164,6 +166,17 @@ def explain(domain: Domain, failures: Sequence[FailedAttempt]) -> Explanation:
             "let the simulator's contacts() name what stops a skill",
         )
     return Explanation(skill, objects, _relevant(domain, alike, objects, blamed), tuple(blamed))
+
+
+def as_explained(failure: FailedAttempt, explanation: Explanation) -> dict[Object, Object] | None:
+    """Other names for the objects of a failure, by which it is the one that was explained: the same skill ran into the
+    same culprits on its way to something else. Empty where it is that one anyway; None where there are none."""
+    if failure.skill != explanation.skill or not all(failure.run_into.get(o, 0.0) > 0 for o in explanation.culprits):
+        return None
+    pairs = [(a, b) for a, b in zip(failure.objects, explanation.objects, strict=True) if a != b]
+    names = {**dict(pairs), **{b: a for a, b in pairs}}
+    consistent = all(names[a] == b and names[b] == a and a.type == b.type for a, b in pairs)
+    return names if consistent and names.keys().isdisjoint(explanation.culprits) else None
 
 
 def _relevant(

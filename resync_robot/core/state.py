@@ -86,6 +86,11 @@ class State:
         kept = list(objects)
         return State({o: self[o] for o in kept}, {o: self._covariance[o] for o in kept if o in self._covariance})
 
+    def renamed(self, names: Mapping[Object, Object]) -> State:
+        """The same of other objects of the same types; those that are not named keep their names."""
+        features = {names.get(o, o): values for o, values in self._features.items()}
+        return State(features, {names.get(o, o): values for o, values in self._covariance.items()})
+
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, for files. `from_json` is the inverse."""
         return {

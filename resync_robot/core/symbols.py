@@ -159,7 +159,7 @@ class Atom:
             wanted = ", ".join(t.name for t in types)
             raise PlanningError(f"{self.predicate.name}({given}) is ill-typed: it takes ({wanted})")
 
-    def substitute(self, binding: Mapping[Term, Term]) -> Atom:
+    def substitute(self, binding: Mapping[Any, Term]) -> Atom:
         """The same atom with its terms replaced; terms without a binding stay."""
         return Atom(self.predicate, tuple(binding.get(a, a) for a in self.args))
 

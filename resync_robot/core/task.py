@@ -27,6 +27,11 @@ class Task:
     physics: Mapping[str, Any]
     seed: int
 
+    def renamed(self, names: Mapping[Object, Object]) -> Task:
+        """The same of other objects of the same types: what is called how changes nothing."""
+        initial, goal = self.initial.renamed(names), frozenset(a.substitute(names) for a in self.goal)
+        return replace(self, objects=initial.objects, initial=initial, goal=goal)
+
 
 Sample = Callable[[np.random.Generator, int], Task]
 """(rng, seed) -> a task; a pure function of the two."""

@@ -19,7 +19,7 @@ from resync_robot.core.task import Domain, Task
 from resync_robot.curriculum.context import Context, Known
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.failures import PairGaussian, fit_beside
-from resync_robot.sim_training.failure_mining import Explanation, FailedAttempt, attempt, explain
+from resync_robot.sim_training.failure_mining import Explanation, FailedAttempt, as_explained, attempt, explain
 from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.recovery_problem import Start
 
@@ -30,6 +30,7 @@ MINED: Shape = {
     "relevant": str,
     "causes": [str],
     "states": [{"seed": int, "before": dict, "failed": dict}],
+    "likewise": [{"seed": int, "names": dict, "failed": dict}],
 }
 """The fields of failures.json."""
 
@@ -41,7 +42,8 @@ class Mined:
     Attributes:
         explanation: what failed on what.
         before: for each cause the Gaussian of how it lies to what the failure is about when the skill is begun.
-        starts: tasks, and the states in which their skill had failed.
+        starts: tasks, and the states in which their skill had failed; among them those in which it was on its way to
+            something else, under the names of what the failure is about.
     """
 
     explanation: Explanation
@@ -89,6 +91,11 @@ def mine(
             tell(len(found) / count, f"{len(found)} failures in {tried} tasks")
     explanation = explain(domain, [f for _, f in found])
     alike = [(s, f) for s, f in found if (f.skill, f.objects) == (explanation.skill, explanation.objects)]
+    other = [
+        {"seed": s, "names": {a.name: b.name for a, b in names.items()}, "failed": f.state.renamed(names).to_json()}
+        for s, f in found
+        if (names := as_explained(f, explanation))
+    ]
     write_json(
         path,
         {
@@ -97,9 +104,10 @@ def mine(
             "relevant": explanation.relevant.name,
             "causes": [o.name for o in explanation.culprits],
             "states": [{"seed": s, "before": f.before.to_json(), "failed": f.state.to_json()} for s, f in alike],
+            "likewise": other,
         },
     )
-    folder.record("mine", {"tasks": tried, "failed": len(found), "kept": len(alike)})
+    folder.record("mine", {"tasks": tried, "failed": len(found), "kept": len(alike) + len(other)})
     return read_mined(path, domain, stage)
 
 
@@ -110,9 +118,14 @@ def read_mined(path: Path, domain: Domain, stage: Stage) -> Mined:
         check_shape(saved, MINED)
         types = {t.name: t for t in domain.types}
         befores = [State.from_json(s["before"], types) for s in saved["states"]]
-        starts = tuple(
+        starts = [
             Start(task_of(domain, stage, s["seed"]), State.from_json(s["failed"], types)) for s in saved["states"]
-        )
+        ]
+        for s in saved["likewise"]:
+            task = task_of(domain, stage, s["seed"])
+            known = {o.name: o for o in task.objects}
+            names = {known[a]: known[b] for a, b in s["names"].items()}
+            starts.append(Start(task.renamed(names), State.from_json(s["failed"], types)))
         named = {o.name: o for o in befores[0].objects}
         explanation = Explanation(
             saved["skill"],
@@ -122,4 +135,4 @@ def read_mined(path: Path, domain: Domain, stage: Stage) -> Mined:
         )
         about = explanation.relevant
         before = {cause: fit_beside(domain, befores, cause, about) for cause in explanation.culprits}
-    return Mined(explanation, before, starts)
+    return Mined(explanation, before, tuple(starts))

@@ -20,7 +20,7 @@ from resync_robot.planning.abstract import Exists, ForAll
 Count = tuple[int, int]
 """(successes, attempts)."""
 FANCY = 0.05
-"""By how much a whim makes a step dearer, at most: less than one step in a plan of twenty."""
+"""By how much a whim makes a step dearer, at most."""
 
 
 @dataclass(frozen=True)
@@ -144,11 +144,11 @@ class OutcomeCosts:
 
 
 class Whim(OutcomeCosts):
-    """Costs that prefer one of several plans as short as each other, another one for each seed."""
+    """The same costs, but of plans that are nearly as good as each other they prefer another one for each seed."""
 
-    def __init__(self, seed: int) -> None:
-        super().__init__()
+    def __init__(self, costs: OutcomeCosts, seed: int) -> None:
+        super().__init__(costs._tallies, costs._settings)
         self._seed = seed
 
     def cost(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
-        return self.least(step) * (1.0 + FANCY * random.Random(f"{self._seed} {step}").random())
+        return super().cost(step, atoms) * (1.0 + FANCY * random.Random(f"{self._seed} {step}").random())

@@ -15,6 +15,7 @@ from resync_robot.curriculum.context import Known
 from resync_robot.curriculum.mine import FAILURES, Mined, mine
 from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.stage_folder import StageFolder
+from resync_robot.planning.execute import run_skill
 from resync_robot.sim_training.domains import find_domain
 
 PUCKS = str(Path(__file__).parents[2] / "docs" / "puck_behind_a_door.py")
@@ -64,3 +65,27 @@ def test_a_damaged_file_is_named_with_its_mend(tmp_path: Path, damage: str) -> N
 def test_a_scenario_that_hardly_fails_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match=r"0 of 40 tasks of open failed, 6 failures are needed"):
         _mine(StageFolder(RunFolder(tmp_path), 1, STAGE.recovery), scenario="open")
+
+
+def test_the_same_failure_of_something_else_is_kept_under_its_name(tmp_path: Path) -> None:
+    """On its way to another cargo the car is caught in the same ice."""
+    icy = find_domain("icy-transport")
+    folder = StageFolder(RunFolder(tmp_path), 1, "IcyDrive")
+    known = Known(domain=icy.spec, rig=None)
+    mined = mine(icy, icy.stages[0], folder, known, range(500, 600), 30, 1, lambda *_: None)
+    about, saved = mined.explanation, json.loads((folder.path / FAILURES).read_text(encoding="utf-8"))
+    assert about.skill == "GoToPickObject" and saved["likewise"]
+    assert len(mined.starts) == len(saved["states"]) + len(saved["likewise"])
+    model = known.open().model
+    for start in mined.starts:
+        simulator = icy.embodiment.simulate(start.task)
+        assert simulator.reset(start.state)
+        assert not run_skill(simulator, model.skill(about.skill).ground(about.objects)).done
+        assert set(about.culprits) <= set(simulator.contacts())
+    likewise = mined.starts[len(saved["states"])]
+    names = saved["likewise"][0]["names"]
+    assert {names[n] for n in names} == set(names) and about.relevant.name in names
+    back = {
+        o: next(p for p in likewise.task.objects if p.name == names.get(o.name, o.name)) for o in likewise.task.objects
+    }
+    assert likewise.task.renamed(back).renamed(back) == likewise.task
