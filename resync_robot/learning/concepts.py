@@ -163,6 +163,8 @@ def _proposals(dataset: Dataset, new: StageData, operators: Sequence[Operator], 
     around = (new.recovery, new.failed_skill if mode == "default" else published, _skill_after(dataset, new.recovery))
     proposals = candidates(new.recovery, [s for s in around if s in dataset.signatures], dataset.signatures)
     if mode == "default":
+        # What the recovery does not bring about gives no reason to use it, and may forbid what is to be done again.
+        proposals = [c for c in proposals if any(e.skill == new.recovery for e in c.effects)]
         attempted = {step.skill for run in dataset.runs for step in (*run.steps, *run.failures)}
         tried = [op.name for op in operators if op.name in attempted]
         proposals += affordances(new.recovery, tried, dataset.signatures)
