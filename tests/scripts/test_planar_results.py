@@ -1,0 +1,56 @@
+"""The tables of the planar domains are those of the committed figures."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("planar_results", ROOT / "scripts" / "planar_results.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def evaluation(successes: int, library: str = "ab" * 32, horizon: int = 300) -> dict[str, object]:
+    row = {
+        "domain": "blocked-stacking",
+        "method": "resync",
+        "scenario": "1",
+        "seed": 41,
+        "successes": successes,
+        "episodes": 50,
+        "library_hash": library,
+    }
+    return {"provenance": {"horizon": horizon, "git": "0123456789ab"}, "rows": [row]}
+
+
+def test_the_page_shows_what_was_measured(script: ModuleType) -> None:
+    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    data = json.loads((ROOT / "docs" / "planar.json").read_text(encoding="utf-8"))
+    assert script.written(page, script.tables(data)) == page, "run python scripts/planar_results.py"
+
+
+def test_seeds_are_summed_and_measured_again_replaced(script: ModuleType) -> None:
+    rows = script.merged([], script.rows_of(evaluation(30), 1, 0))
+    rows = script.merged(rows, script.rows_of(evaluation(40), 1, 0))
+    rows = script.merged(rows, script.rows_of(evaluation(48), 1, 1))
+    rows = script.merged(rows, script.rows_of(evaluation(20, horizon=200), 1, 0))
+    shown = script.tables({"rows": rows, "paper": {"blocked-stacking": {"1": {"1": "0.76"}}}})
+    assert "| 1 | 0.88 [0.80, 0.93] of 100 | 0.76 |" in shown
+    assert "after stage 1, 300 control steps; training seeds 0, 1 (0123456):" in shown
+    assert "| 1 | 0.40 [0.28, 0.54] of 50 | 0.76 |" in shown
+
+
+def test_a_page_without_marks_is_left_alone(script: ModuleType) -> None:
+    with pytest.raises(SystemExit, match="has no line"):
+        script.written("# Results\n", "")
