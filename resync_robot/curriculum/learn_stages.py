@@ -183,7 +183,8 @@ class _Stage:
             seeds = c.seeds(number, "mine")
             mined = mine(domain, stage, folder, self._known, seeds, budgets.failures, workers, tell)
         with self._step("recover") as tell:
-            record = recover(self._known, stage, folder, budgets, c.seed, workers, tell)
+            trials = c.seeds(number, "recover")[: budgets.checks]
+            record = recover(self._known, stage, folder, budgets, mined, c.seed, trials, workers, tell)
         able = self._known.with_recovery(stage.recovery, record)
         with self._step("check") as tell:
             seeds = c.seeds(number, "check")[: budgets.checks]

@@ -22,7 +22,7 @@ from resync_robot.curriculum.mine import FAILURES, Mined, read_mined, task_of
 from resync_robot.curriculum.presets import StagePreset
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.failures import PairGaussian, changed_features, fit_beside
-from resync_robot.learning.learned_recovery import LearnedRecovery
+from resync_robot.learning.learned_recovery import SURE, LearnedRecovery
 from resync_robot.planning.execute import run_skill
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import Explanation
@@ -45,9 +45,20 @@ def _pose(known: Known, recovery: str, failures: Path) -> Problem:
 
 
 def recover(
-    known: Known, stage: Stage, folder: StageFolder, preset: StagePreset, seed: int, workers: int, tell: Tell
+    known: Known,
+    stage: Stage,
+    folder: StageFolder,
+    preset: StagePreset,
+    mined: Mined,
+    seed: int,
+    trials: range,
+    workers: int,
+    tell: Tell,
 ) -> Record:
     """The record of the recovery: learned from what was mined, or read where it is there already. Resumes in between.
+
+    Args:
+        trials: seeds of the fresh tasks that tell how sure beta_N has to be.
 
     Raises:
         TrainingError: it cannot be learned, or a file is damaged.
@@ -64,11 +75,11 @@ def recover(
             workers=workers if workers > 1 else 0,
             pose=pose,
         )
-        record, figures = learned.to_record(), learned.figures
+        record, figures = _as_sure_as_needed(known, stage, mined, learned.to_record(), trials, workers), learned.figures
         with whole(weights) as beside:
             save_file({k: np.ascontiguousarray(v) for k, v in record.tensors.items()}, beside)
         write_json(meta, record.meta)
-        folder.record("recover", {**figures, "stop_at": preset.recovery.ppo.stop_at})
+        folder.record("recover", {**figures, "stop_at": preset.recovery.ppo.stop_at, "sure": record.meta["sure"]})
     with reading(meta):
         saved = read_json(meta)
         check_shape(saved, {})
@@ -76,6 +87,18 @@ def recover(
         record = Record(saved, load_file(weights))
         LearnedRecovery.from_record(stage.recovery, record, {t.name: t for t in find_domain(known.domain).types})
     return record
+
+
+def _as_sure_as_needed(known: Known, stage: Stage, mined: Mined, record: Record, trials: range, workers: int) -> Record:
+    """The record with the least probability of beta_N at which the recovery is done and has mended its failure most
+    often, by trials in the same fresh tasks."""
+    worth: dict[float, int] = {}
+    for sure in SURE:
+        one = known.with_recovery(stage.recovery, Record({**record.meta, "sure": sure}, record.tensors))
+        jobs = [_Check(stage, mined.explanation, seed) for seed in trials]
+        results = [r for r in parallel_map(_check, jobs, one.open, workers) if r is not None]
+        worth[sure] = sum(done and mended is not None for done, mended in results)
+    return Record({**record.meta, "sure": max(SURE, key=lambda s: (worth[s], -s))}, record.tensors)
 
 
 @dataclass(frozen=True)

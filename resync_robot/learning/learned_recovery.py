@@ -28,13 +28,14 @@ FIELDS: Shape = {
     "failed_skill": str,
     "arguments": [int],
     "horizon": int,
+    "sure": float,
     "policy": dict,
     "terminal": dict,
 }
 """Of the record's JSON."""
-SURE = 0.85
-"""Probability of beta_N at which the recovery is done: a moment more costs less than to be taken for done wrongly."""
-
+SURE = (0.85, 0.95, 0.99)
+"""Probabilities of beta_N at which the recovery may be done, of which trials choose: a moment more mostly costs less
+than to be taken for done wrongly."""
 PATIENCE = 2
 """How many times as long as an episode of training the policy may take: what it does next does not hang on the time
 that has passed, and a robot with something in its hand is slower."""
@@ -53,6 +54,7 @@ class LearnedRecovery:
         horizon: actions of an episode of training; the policy gives up after `PATIENCE` times as many.
         policy: over the relational view of the parameters.
         done: beta_N, over the same view: the failed skill succeeds from here.
+        sure: the probability of beta_N at which it is done.
     """
 
     name: str
@@ -63,6 +65,7 @@ class LearnedRecovery:
     horizon: int
     policy: ActorCritic
     done: Terminal
+    sure: float = SURE[0]
 
     def skill(self, failed: Skill, embodiment: Embodiment, relations: Relations) -> Skill:
         """The skill for an executive; `failed` is the given skill that it begins with."""
@@ -94,7 +97,7 @@ class LearnedRecovery:
             "failed_skill": self.failed_skill,
             "arguments": list(self.arguments),
             "horizon": self.horizon,
-            "sure": SURE,
+            "sure": self.sure,
             "policy": self.policy.shape,
             "terminal": self.done.to_record().meta,
         }
@@ -121,6 +124,7 @@ class LearnedRecovery:
                 horizon=meta["horizon"],
                 policy=policy,
                 done=done,
+                sure=meta["sure"],
             )
         except (KeyError, ValueError) as error:
             raise LibraryError(f"the record of {name} is no recovery: {error}", RETRAIN) from None
@@ -167,4 +171,4 @@ class _Run:
         return torch.as_tensor(self._view(observation.state), dtype=torch.float32)[None]
 
     def _is_done(self, seen: Tensor) -> bool:
-        return float(self._recovery.done.probability(seen)) > SURE
+        return float(self._recovery.done.probability(seen)) > self._recovery.sure
