@@ -19,7 +19,15 @@ from resync_robot.core.errors import TrainingError, UnknownNameError
 from resync_robot.core.relations import Relations
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Type, Variable, distinct_products
 from resync_robot.learning.classifiers import NeuralClassifier
-from resync_robot.learning.dataset import Dataset, StageData, Step, merged_dataset, variant_dataset, variant_name
+from resync_robot.learning.dataset import (
+    Dataset,
+    StageData,
+    Step,
+    merged_dataset,
+    variant_dataset,
+    variant_name,
+    without_unclear,
+)
 from resync_robot.learning.effects import Candidate, affordances, candidates, supervise
 from resync_robot.learning.features import gather
 from resync_robot.learning.fit import COMPACT, PAPER, SCREENING, Fit, FitConfig, fit
@@ -99,6 +107,8 @@ def learn_concepts(
     recoveries = [s.recovery for s in stages]
     view = merged_dataset if config.mode == "default" else variant_dataset
     dataset = view([s.trajectories for s in stages], recoveries, real)
+    if config.mode == "default":
+        dataset = without_unclear(dataset)
     parameters = _parameters(dataset.signatures, before.operators)
     truth, columns = _judged(before, dataset, parameters)
     tuned: list[dict[str, Any]] = []

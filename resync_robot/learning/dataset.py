@@ -7,7 +7,7 @@ the next one are the same moment, and so are the states around a failed attempt 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.state import State
@@ -129,6 +129,21 @@ def variant_dataset(
 def variant_name(failed_skill: str, recovery: str) -> str:
     """The published view's name for an attempt that this recovery follows."""
     return f"{failed_skill}_{recovery}"
+
+
+def without_unclear(dataset: Dataset) -> Dataset:
+    """The same without failures that may have any of several causes.
+
+    From the second stage on a dream has the causes of several failures. What failed there, and no recovery mended, does
+    not say of what; an attempt, which has the causes of one, does.
+    """
+
+    def clear(run: Run) -> tuple[Step, ...]:
+        if run.stage == 1 or run.source == ATTEMPT:
+            return run.failures
+        return tuple(f for f in run.failures if f.mended_by)
+
+    return replace(dataset, runs=tuple(replace(run, failures=clear(run)) for run in dataset.runs))
 
 
 def _numbered(stages: Sequence[Sequence[Trajectory]]) -> Iterator[tuple[int, Trajectory]]:

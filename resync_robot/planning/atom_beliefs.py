@@ -144,6 +144,11 @@ class AtomBeliefs:
         found = {a: self.probability(a) for a, seen in sorted(self._seen.items())}
         return {a: p for a, p in found.items() if p < self._settings.certain and (p >= HOLDS or self._seen[a] >= HOLDS)}
 
+    def doubted(self) -> dict[Atom, float]:
+        """Every learned atom that is not certain, with its probability."""
+        found = {a: self.probability(a) for a in self._learned(self._seen)}
+        return {a: p for a, p in found.items() if p < self._settings.certain}
+
     def shown(self) -> dict[Atom, float]:
         """Every atom with its probability, for recordings: of those that are not certain at most `HOLDS`, so that what
         is above is what plans count on."""

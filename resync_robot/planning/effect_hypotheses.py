@@ -10,6 +10,7 @@ scene says what is true.
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
+from dataclasses import replace
 
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate
@@ -48,6 +49,21 @@ def plan_or_suppose(
         if supposed is None:
             raise error
         return supposed
+
+
+def without_habits(operators: Iterable[Operator], learned: Container[str]) -> tuple[Operator, ...]:
+    """The operators, those of recoveries without what was given of their preconditions: a recovery that was only ever
+    practised with an empty hand need not need one.
+
+    Args:
+        learned: names of the learned predicates. A recovery brings about nothing else.
+    """
+    return tuple(
+        replace(o, preconditions=frozenset(a for a in o.preconditions if a.predicate.name in learned))
+        if o.add | o.delete and all(a.predicate.name in learned for a in o.add | o.delete)
+        else o
+        for o in operators
+    )
 
 
 def check_goal(

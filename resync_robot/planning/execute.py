@@ -20,7 +20,7 @@ from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import EffortLimited, Observation, World
 from resync_robot.planning.abstract import HOLDS, Abstraction
 from resync_robot.planning.atom_beliefs import AtomBeliefs, BeliefSettings
-from resync_robot.planning.effect_hypotheses import plan_or_suppose
+from resync_robot.planning.effect_hypotheses import plan_or_suppose, without_habits
 from resync_robot.planning.outcome_costs import OutcomeCosts
 from resync_robot.planning.search import Plan, plan
 
@@ -50,6 +50,10 @@ class Model:
 AGAIN = 0.09
 """Cost of beginning with a step that failed just now, less than that of any further step: of plans as good as each
 other one is taken that does something else first, which may change what that step failed of."""
+
+
+UNLIKELY = 0.01
+"""Probability of an atom, at least, for a plan that relies on it all the same."""
 
 
 class Reaction(Protocol):
@@ -269,11 +273,35 @@ class _Episode:
         if not s.suppose:
             raise error
         most_likely = certain | {a for a, p in likely.items() if p > HOLDS}
-        found, supposed = plan_or_suppose(
-            operators, model.abstraction, objects, most_likely, goal, heuristic, self._supposed, costs
-        )
+        try:
+            found, supposed = plan_or_suppose(
+                operators, model.abstraction, objects, most_likely, goal, heuristic, self._supposed, costs
+            )
+        except PlanningError:
+            return self._plan_regardless(error, certain)
         self._supposed.add(supposed)
         return found, f"perhaps {supposed}"
+
+    def _plan_regardless(self, error: PlanningError, certain: Atoms) -> tuple[Plan, str]:
+        """A plan that relies on what is unlikely, too, and in which a recovery needs nothing of what was given: perhaps it
+        was just never tried otherwise. Raises `error` where there is none."""
+        model, heuristic = self._model, self._settings.heuristic
+        relaxed = without_habits(model.operators, model.learned)
+        unlikely = {a: max(p, UNLIKELY) for a, p in self.beliefs.doubted().items()}
+        try:
+            found = plan(
+                relaxed,
+                self.state.objects,
+                certain,
+                self._goal,
+                heuristic,
+                costs=model.costs,
+                likely=unlikely,
+                rather_not=self.in_vain,
+            )
+        except PlanningError:
+            raise error from None
+        return found, "against what is known"
 
     def limit_reached(self) -> str:
         """Which limit of the loop is reached, in words; "" for none."""

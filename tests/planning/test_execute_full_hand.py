@@ -8,7 +8,7 @@ from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Operator, Predicate, Variable
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import EpisodeEnd, Model, begin_after, plan_and_execute
+from resync_robot.planning.execute import EpisodeEnd, ExecuteSettings, Model, begin_after, plan_and_execute
 from resync_robot.planning.search import plan
 from tests.planning.kitchen import CUP, A, B, Kitchen, Notes, Toy, kitchen
 
@@ -103,7 +103,8 @@ def test_what_was_taken_on_trust_is_put_down_where_the_trust_was_wrong() -> None
     assert result.success and notes.plans[-1] == "Put(a), Free(b), Take(a), Stack(a, b)"
 
     world = kitchen(clean="a")
-    stuck = plan_and_execute(world, model(world, freed_at_the_third_try([]), put=False), GOAL)
+    settings = ExecuteSettings(suppose=False)
+    stuck = plan_and_execute(world, model(world, freed_at_the_third_try([]), put=False), GOAL, settings)
     assert not stuck.success and skills(stuck)[:4] == first, "without a way to put it down that was the end"
 
 
