@@ -283,8 +283,8 @@ class _Episode:
         return found, f"perhaps {supposed}"
 
     def _plan_regardless(self, error: PlanningError, certain: Atoms) -> tuple[Plan, str]:
-        """A plan that relies on what is unlikely, too, and in which a recovery needs nothing of what was given: perhaps it
-        was just never tried otherwise. Raises `error` where there is none."""
+        """A plan that relies on what is unlikely, too, and in which a recovery needs nothing of what was given: perhaps
+        it was just never tried otherwise. Raises `error` where there is none."""
         model, heuristic = self._model, self._settings.heuristic
         relaxed = without_habits(model.operators, model.learned)
         unlikely = {a: max(p, UNLIKELY) for a, p in self.beliefs.doubted().items()}
