@@ -20,7 +20,8 @@ from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan
 from resync_robot.planning.outcome_costs import Whim
 
 LATELY = 5
-"""Last moments of an attempt with contacts that count: what stops a skill is what it runs into last."""
+"""Last moments of an attempt with contacts that count, and moments without any after which earlier ones do not: what
+stops a skill is what it runs into last."""
 CLEARER = 0.5
 """Share of the spread beside an argument of the failed skill, below which another object tells better where the culprit
 lies."""
@@ -80,18 +81,22 @@ class _LastContacts(Listener):
     def __init__(self, simulator: TrainingSimulator[Any, Any]) -> None:
         self._simulator = simulator
         self._recent: list[Mapping[Object, float]] = []
+        self._clear = 0
         self.begun: Any = None
         self.ended: tuple[GroundSkill, Mapping[Object, float]] | None = None
 
     def on_skill_start(self, skill: GroundSkill) -> None:
-        self._recent = []
+        self._recent, self._clear = [], 0
         if skill.first != skill:
             self.begun = self._simulator.save()
 
     def on_control(self, observation: Any, action: Any) -> None:
-        # A hand that ran into something may have drawn back from it since.
+        # A hand that ran into something may have drawn back from it since; what it touched on its way counts no more.
         if contacts := self._simulator.contacts():
-            self._recent = [*self._recent, contacts][-LATELY:]
+            before = self._recent if self._clear <= LATELY else []
+            self._recent, self._clear = [*before, contacts][-LATELY:], 0
+        else:
+            self._clear += 1
 
     def on_skill_end(self, skill: GroundSkill, outcome: SkillOutcome) -> None:
         hardest: dict[Object, float] = {}
