@@ -91,6 +91,9 @@ class _LastContacts(Listener):
             self.begun = self._simulator.save()
 
     def on_control(self, observation: Any, action: Any) -> None:
+        self._touch()
+
+    def _touch(self) -> None:
         # A hand that ran into something may have drawn back from it since; what it touched on its way counts no more.
         if contacts := self._simulator.contacts():
             before = self._recent if self._clear <= LATELY else []
@@ -99,8 +102,9 @@ class _LastContacts(Listener):
             self._clear += 1
 
     def on_skill_end(self, skill: GroundSkill, outcome: SkillOutcome) -> None:
+        self._touch()
         hardest: dict[Object, float] = {}
-        for contacts in (*self._recent, self._simulator.contacts()):
+        for contacts in self._recent:
             for obj, force in contacts.items():
                 hardest[obj] = max(force, hardest.get(obj, 0.0))
         self.ended = skill, hardest
