@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -11,6 +12,7 @@ from resync_robot.core.skill import GroundSkill, Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Operator
 from resync_robot.core.world import Observation
+from resync_robot.planning.effect_hypotheses import without_habits
 from resync_robot.planning.execute import EpisodeEnd, ExecuteSettings, Model, plan_and_execute, run_skill
 from tests.planning.kitchen import (
     CLEAN,
@@ -293,3 +295,39 @@ def test_a_result_keeps_every_plan() -> None:
     )
     assert len(result.plans) == 3
     assert all(str(p) == "Fill(a)" for p in result.plans)
+
+
+def test_a_step_that_is_needless_by_now_is_left_out() -> None:
+    """Opening one cup opens the other as well."""
+    world = kitchen(clean="ab")
+    both = (lambda state: setting("open")(A)(setting("open")(B)(state)), SkillOutcome(SkillEnd.DONE))
+    known = model(world)
+    unlid = known.skill("Unlid")
+    known = replace(
+        known,
+        skills={**known.skills, "Unlid": replace(unlid, start=lambda objects, first: Toy(world, *both))},
+    )
+    result = plan_and_execute(world, known, frozenset({FULL(A), FULL(B)}))
+    assert result.success
+    assert sorted(t.skill for t in result.transitions) == ["Fill", "Fill", "Unlid"]
+
+
+def test_where_no_plan_is_left_it_goes_on_against_what_is_known() -> None:
+    """Clean is said to be false, nothing wipes, and filling the cup works all the same."""
+    learned = {"Clean": None}
+    world = kitchen(open="a")
+    known = model(world, learned=learned)
+    unwiped = replace(known, operators=tuple(o for o in known.operators if o.name != "Wipe"))
+    result = plan_and_execute(world, unwiped, GOAL)
+    assert result.success and [t.skill for t in result.transitions] == ["Fill"]
+    world = kitchen(open="a")
+    known = model(world, learned=learned)
+    unwiped = replace(known, operators=tuple(o for o in known.operators if o.name != "Wipe"))
+    assert plan_and_execute(world, unwiped, GOAL, ExecuteSettings(suppose=False)).end is EpisodeEnd.NO_PLAN
+
+
+def test_what_was_given_is_a_habit_of_recoveries_alone() -> None:
+    recovery = Operator("Wipe", (X,), frozenset({OPEN(X)}), frozenset({CLEAN(X)}))
+    other = Operator("Fill", (X,), frozenset({OPEN(X), CLEAN(X)}), frozenset({FULL(X)}))
+    relaxed = without_habits((recovery, other), {"Clean"})
+    assert relaxed == (replace(recovery, preconditions=frozenset()), other)

@@ -1,0 +1,20 @@
+"""Which failures say of what they came."""
+
+from __future__ import annotations
+
+from resync_robot.core.symbols import Type
+from resync_robot.learning.dataset import ATTEMPT, Dataset, Run, Step, without_unclear
+
+CUP = Type("cup")(name="a")
+MENDED, NOT = Step("Fill", (CUP,), 0, 1, "Wipe"), Step("Fill", (CUP,), 0, 1)
+
+
+def run(stage: int, source: str) -> Run:
+    return Run((), (MENDED, NOT), 0, frozenset(), False, source, (CUP,), stage)
+
+
+def test_what_failed_in_dreams_of_several_causes_and_was_not_mended_says_nothing() -> None:
+    runs = (run(1, "before1@0"), run(2, "before1@0 before2@1"), run(2, ATTEMPT), run(3, "after1@0 before3@0"))
+    clear = without_unclear(Dataset((), (), runs, {}))
+    assert [r.failures for r in clear.runs] == [(MENDED, NOT), (MENDED,), (MENDED, NOT), (MENDED,)]
+    assert without_unclear(clear) == clear
