@@ -41,7 +41,8 @@ class RecoverySettings:
             plateau=80_000,
             minibatch=256,
             std_end=0.1,
-            anneal_steps=120_000,
+            anneal_steps=80_000,
+            anneal_from=0.5,
         )
     )
     judged: JudgedSettings = field(default_factory=JudgedSettings)

@@ -37,7 +37,8 @@ class PpoSettings:
     """...but not before this many steps, for the rare corners of the randomisation."""
     plateau: int = 0
     """Control steps, from then on, in which that rate has risen by less than a hundredth, after which training ends,
-    too; 0: never. Through the noise of exploration some recoveries never reach `stop_at`."""
+    too, if that rate is half of `stop_at` or more; 0: never. Through the noise of exploration some recoveries never
+    reach `stop_at`, and some begin late to succeed at all."""
     epochs: int = 4
     minibatch: int = 512
     learning_rate: float = 3e-4
@@ -49,6 +50,8 @@ class PpoSettings:
     std_begin: float = 0.6
     std_end: float = 0.25
     anneal_steps: int = 250_000
+    anneal_from: float = 0.0
+    """Success rate from which on the standard deviation is annealed: who has not found anything yet goes on searching."""
     rebuild: float = 0.15
     """Share of resets that build another world: new sizes, box and friction."""
 
@@ -112,7 +115,7 @@ def train_policy(
             done_steps >= settings.least_steps and bool(curve["success"]) and curve["success"][-1] >= settings.stop_at
         )
         while done_steps < settings.total_steps and not enough:
-            fraction = min(1.0, done_steps / settings.anneal_steps)
+            fraction = min(1.0, (done_steps - _found(curve, settings, done_steps)) / settings.anneal_steps)
             std = settings.std_begin + fraction * (settings.std_end - settings.std_begin)
             batch = _collect(env, net, std, settings, random, finished, returns, running_return, done_steps == 0)
             remaining = 1.0 - done_steps / settings.total_steps
@@ -135,13 +138,21 @@ def train_policy(
     return curve
 
 
+def _found(curve: Mapping[str, Sequence[float]], s: PpoSettings, now: int) -> float:
+    """Steps at which the success rate first was where annealing begins; `now` where it has not been yet."""
+    if s.anneal_from <= 0.0:
+        return 0.0
+    reached = (steps for steps, rate in zip(curve["steps"], curve["success"], strict=True) if rate >= s.anneal_from)
+    return next(reached, float(now))
+
+
 def has_plateaued(curve: Mapping[str, Sequence[float]], s: PpoSettings) -> bool:
     """Whether the success rate has not risen for as long as the settings say."""
     best, since = -1.0, 0.0
     for steps, rate in zip(curve["steps"], curve["success"], strict=True):
         if steps >= s.least_steps and rate > best + 0.01:
             best, since = rate, steps
-    return s.plateau > 0 and best >= 0.0 and curve["steps"][-1] - since >= s.plateau
+    return s.plateau > 0 and best >= s.stop_at / 2 and curve["steps"][-1] - since >= s.plateau
 
 
 def _collect(

@@ -15,7 +15,7 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.task import Task
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, PROJECTED_SIZE, ActorCritic
 from resync_robot.sim_training.block_recovery import RecoveryEnv, train_recovery
-from resync_robot.sim_training.ppo import PpoSettings, has_plateaued
+from resync_robot.sim_training.ppo import PpoSettings, _found, has_plateaued
 from resync_robot.sim_training.recovery import RecoverySettings
 from resync_robot.sim_training.vector_env import RecoveryScenes
 from tests import scenes
@@ -199,4 +199,13 @@ def test_a_rate_that_rises_no_more_has_plateaued(rates: list[float], expected: b
     curve = {"steps": [1000.0 * (i + 1) for i in range(len(rates))], "success": rates}
     settings = PpoSettings(least_steps=2000, plateau=3000)
     assert has_plateaued(curve, settings) is expected
+    low = {**curve, "success": [rate / 3 for rate in rates]}
+    assert not has_plateaued(low, settings), "it has not begun to succeed"
     assert not has_plateaued(curve, PpoSettings(least_steps=2000))
+
+
+def test_it_goes_on_searching_until_it_has_found_something() -> None:
+    curve = {"steps": [1000.0, 2000.0, 3000.0], "success": [0.2, 0.55, 0.4]}
+    assert _found(curve, PpoSettings(anneal_from=0.5), 3000) == 2000
+    assert _found(curve, PpoSettings(anneal_from=0.6), 3000) == 3000, "not yet"
+    assert _found(curve, PpoSettings(), 3000) == 0
