@@ -3,7 +3,8 @@
     python scripts/planar_results.py [add EVALUATION.json --stage N --training-seed S ...]
 
 `add` takes in files that `evaluate --json` wrote of the library after stage N that was trained with seed S; figures of
-the same stage, seeds, scenario, method and horizon are replaced. Training seeds are summed in the tables.
+the same stage, seeds, scenario, method and horizon are replaced. Training seeds are summed in the tables, with the
+successes of each behind the sum.
 """
 
 from __future__ import annotations
@@ -84,7 +85,8 @@ def _cell(rows: list[dict[str, Any]]) -> str:
     if not tried:
         return ""
     low, high = wilson(won, tried)
-    return f"{won / tried:.2f} [{low:.2f}, {high:.2f}] of {tried}"
+    each = ", ".join(str(r["successes"]) for r in rows)
+    return f"{won / tried:.2f} [{low:.2f}, {high:.2f}] of {tried}" + (f": {each}" if len(rows) > 1 else "")
 
 
 def written(page: str, text: str) -> str:

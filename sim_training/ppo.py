@@ -51,7 +51,7 @@ class PpoSettings:
     std_end: float = 0.25
     anneal_steps: int = 250_000
     anneal_from: float = 0.0
-    """Success rate from which on the standard deviation is annealed: who has not found anything yet goes on searching."""
+    """Success rate from which on the standard deviation is annealed: who has found nothing yet goes on searching."""
     rebuild: float = 0.15
     """Share of resets that build another world: new sizes, box and friction."""
 

@@ -46,7 +46,7 @@ def test_seeds_are_summed_and_measured_again_replaced(script: ModuleType) -> Non
     rows = script.merged(rows, script.rows_of(evaluation(48), 1, 1))
     rows = script.merged(rows, script.rows_of(evaluation(20, horizon=200), 1, 0))
     shown = script.tables({"rows": rows, "paper": {"blocked-stacking": {"1": {"1": "0.76"}}}})
-    assert "| 1 | 0.88 [0.80, 0.93] of 100 | 0.76 |" in shown
+    assert "| 1 | 0.88 [0.80, 0.93] of 100: 40, 48 | 0.76 |" in shown
     assert "after stage 1, 300 control steps; training seeds 0, 1 (0123456):" in shown
     assert "| 1 | 0.40 [0.28, 0.54] of 50 | 0.76 |" in shown
 
