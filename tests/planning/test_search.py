@@ -142,8 +142,8 @@ def test_planning_is_fast() -> None:
     seconds = []
     for _ in range(40):
         objects, atoms = scene(4, set(np.flatnonzero(rng.random(4) < 0.5).tolist()))
-        start = time.perf_counter()
+        start = time.process_time()
         plan(OPERATORS, objects, atoms, TOWER)
-        seconds.append(time.perf_counter() - start)
+        seconds.append(time.process_time() - start)
     # Twice the figure promised, because test machines are shared; docs give the measured one.
     assert np.percentile(seconds, 50) < 0.05 and np.percentile(seconds, 95) < 0.1
