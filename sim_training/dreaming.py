@@ -25,7 +25,7 @@ from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.learning.dataset import ATTEMPT
 from resync_robot.learning.failures import FailureModel, place_beside
 from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
-from resync_robot.planning.outcome_costs import Whim
+from resync_robot.planning.outcome_costs import JitteredCosts
 
 WHEN = ("before", "after")
 BEYOND = 1.5
@@ -176,7 +176,7 @@ class Dreamer:
         else:
             return []
         # Of plans that are as good each dream has its own: else it would always be the same thing that is done first.
-        model = replace(self.model, costs=Whim(self.model.costs, dream.seed))
+        model = replace(self.model, costs=JitteredCosts(self.model.costs, dream.seed))
         if dream.attempt:
             result = plan_and_execute(simulator, model, task.goal, ExecuteSettings(max_failures=1))
             return [Trajectory(result.transitions, task.goal, result.success, dream.source)]

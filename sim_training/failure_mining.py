@@ -17,7 +17,7 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.learning.failures import spread_beside
 from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute, run_skill
-from resync_robot.planning.outcome_costs import Whim
+from resync_robot.planning.outcome_costs import JitteredCosts
 
 LATELY = 5
 """Last moments of an attempt with contacts that count, and moments without any after which earlier ones do not: what
@@ -120,7 +120,7 @@ def attempt(embodiment: Embodiment, task: Task, model: Model) -> FailedAttempt |
     if not simulator.reset(task.initial):
         return None
     heard = _LastContacts(simulator)
-    model = replace(model, costs=Whim(model.costs, task.seed))
+    model = replace(model, costs=JitteredCosts(model.costs, task.seed))
     result = plan_and_execute(simulator, model, task.goal, ExecuteSettings(max_failures=1), heard)
     if not result.transitions or result.transitions[-1].succeeded or heard.ended is None:
         return None

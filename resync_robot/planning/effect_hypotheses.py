@@ -51,7 +51,7 @@ def plan_or_suppose(
         return supposed
 
 
-def without_habits(operators: Iterable[Operator], learned: Container[str]) -> tuple[Operator, ...]:
+def with_relaxed_recoveries(operators: Iterable[Operator], learned: Container[str]) -> tuple[Operator, ...]:
     """The operators, those of recoveries without what was given of their preconditions: a recovery that was only ever
     practised with an empty hand need not need one.
 

@@ -20,7 +20,7 @@ from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import EffortLimited, Observation, World
 from resync_robot.planning.abstract import HOLDS, Abstraction
 from resync_robot.planning.atom_beliefs import AtomBeliefs, BeliefSettings
-from resync_robot.planning.effect_hypotheses import plan_or_suppose, without_habits
+from resync_robot.planning.effect_hypotheses import plan_or_suppose, with_relaxed_recoveries
 from resync_robot.planning.outcome_costs import OutcomeCosts
 from resync_robot.planning.search import Plan, plan
 
@@ -162,7 +162,7 @@ def plan_and_execute(
             return run.ended(EpisodeEnd.PLANNED, f"{len(found.steps)} steps")
         reason = "the plan ended short of the goal"
         for index, step in enumerate(found.steps):
-            if _needless(step, found.steps[index + 1 :], run.atoms, goal):
+            if found.goes_without(index, run.atoms, goal):
                 continue
             if missing := step.preconditions - run.atoms:
                 reason = f"{step} needs {', '.join(map(str, sorted(missing)))}"
@@ -187,17 +187,6 @@ def plan_and_execute(
             if reaction and (recovery := reaction(failed, run.state)) is not None:
                 run.react(recovery)
             break
-
-
-def _needless(step: GroundOperator, rest: Sequence[GroundOperator], atoms: Atoms, goal: Atoms) -> bool:
-    """Whether a step before has done its work already, and the rest of the plan does without it."""
-    if not step.add <= atoms:
-        return False
-    for later in rest:
-        if not later.applicable(atoms):
-            return False
-        atoms = later.apply(atoms)
-    return goal <= atoms
 
 
 class _Episode:
@@ -240,7 +229,7 @@ class _Episode:
                 self._goal,
                 s.heuristic,
                 costs=model.costs,
-                rather_not=self.in_vain,
+                discouraged=self.in_vain,
             )
         except PlanningError as error:
             found, trust = self._plan_on_trust(error, certain, likely)
@@ -265,7 +254,7 @@ class _Episode:
                     heuristic,
                     costs=costs,
                     likely=likely,
-                    rather_not=self.in_vain,
+                    discouraged=self.in_vain,
                 )
                 return found, "relying on " + ", ".join(f"{a} ({likely[a]:.2f})" for a in sorted(found.relies_on))
             except PlanningError:
@@ -286,7 +275,7 @@ class _Episode:
         """A plan that relies on what is unlikely, too, and in which a recovery needs nothing of what was given: perhaps
         it was just never tried otherwise. Raises `error` where there is none."""
         model, heuristic = self._model, self._settings.heuristic
-        relaxed = without_habits(model.operators, model.learned)
+        relaxed = with_relaxed_recoveries(model.operators, model.learned)
         unlikely = {a: max(p, UNLIKELY) for a, p in self.beliefs.doubted().items()}
         try:
             found = plan(
@@ -297,7 +286,7 @@ class _Episode:
                 heuristic,
                 costs=model.costs,
                 likely=unlikely,
-                rather_not=self.in_vain,
+                discouraged=self.in_vain,
             )
         except PlanningError:
             raise error from None

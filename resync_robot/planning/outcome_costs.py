@@ -19,8 +19,8 @@ from resync_robot.planning.abstract import Exists, ForAll
 
 Count = tuple[int, int]
 """(successes, attempts)."""
-FANCY = 0.05
-"""By how much a whim makes a step dearer, at most."""
+JITTER = 0.05
+"""By how much of its cost a step is made dearer, at most, to break ties between plans."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class OutcomeCosts:
         return (won + 2 * s.weight * s.untried * usual) / (tried + 2 * s.weight)
 
 
-class Whim(OutcomeCosts):
+class JitteredCosts(OutcomeCosts):
     """The same costs, but of plans that are nearly as good as each other they prefer another one for each seed."""
 
     def __init__(self, costs: OutcomeCosts, seed: int) -> None:
@@ -151,4 +151,4 @@ class Whim(OutcomeCosts):
         self._seed = seed
 
     def cost(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
-        return super().cost(step, atoms) * (1.0 + FANCY * random.Random(f"{self._seed} {step}").random())
+        return super().cost(step, atoms) * (1.0 + JITTER * random.Random(f"{self._seed} {step}").random())

@@ -48,15 +48,22 @@ class Plan:
 
     def reaches(self, goal: Atoms) -> bool:
         """Whether its operators, as they are, lead from its atoms to the goal; not so where a step supposes more."""
-        now = self.atoms
-        for step in self.steps:
-            if not step.applicable(now):
-                return False
-            now = step.apply(now)
-        return goal <= now
+        return _lead(self.steps, self.atoms, goal)
+
+    def goes_without(self, index: int, atoms: Atoms, goal: Atoms) -> bool:
+        """Whether a step is needless where `atoms` hold: what it brings about is there, the rest reaches the goal."""
+        return self.steps[index].add <= atoms and _lead(self.steps[index + 1 :], atoms, goal)
 
     def __str__(self) -> str:
         return ", ".join(map(str, self.steps)) or "(nothing to do)"
+
+
+def _lead(steps: Iterable[GroundOperator], atoms: Atoms, goal: Atoms) -> bool:
+    for step in steps:
+        if not step.applicable(atoms):
+            return False
+        atoms = step.apply(atoms)
+    return goal <= atoms
 
 
 class _LmCut(LmCutHeuristic):  # type: ignore[misc]
@@ -106,21 +113,21 @@ def plan(
     max_nodes: int = 50_000,
     costs: OutcomeCosts | None = None,
     likely: Mapping[Atom, float] | None = None,
-    rather_not: Mapping[str, float] | None = None,
+    discouraged: Mapping[str, float] | None = None,
 ) -> Plan:
     """The cheapest plan, by A* (with a heuristic that never overestimates); always the same one for the same input.
 
     Args:
         costs: of the steps. Without them, or without counts in them, the plan is a shortest one.
         likely: further atoms with their probabilities p. The plan may rely on them from its start, at -log p for each.
-        rather_not: ground steps, in words, that the plan had better not begin with, and what it costs if it does.
+        discouraged: ground steps, in words, that the plan had better not begin with, and what it costs if it does.
 
     Raises:
         PlanningError: no plan reaches the goal, or none was found within `max_nodes`.
         UnknownNameError: the heuristic does not exist.
     """
     start = time.perf_counter()
-    problem = _Problem(operators, objects, atoms, goal, costs=costs, likely=likely, rather_not=rather_not)
+    problem = _Problem(operators, objects, atoms, goal, costs=costs, likely=likely, discouraged=discouraged)
     estimate = problem.heuristic(heuristic)
     created = 0
 
@@ -156,7 +163,7 @@ def _cheapest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] 
             return operators
         holding = problem.circumstances(node.state)
         for op, state in problem.task.get_successor_states(node.state):
-            child = SearchNode(state, node, op, node.g + problem.cost(op, holding) + problem.qualms(op, node))
+            child = SearchNode(state, node, op, node.g + problem.cost(op, holding) + problem.discouragement(op, node))
             if child.g >= best.get(state, INFINITY) or (steps := h(child)) == INFINITY:
                 continue
             best[state] = child.g
@@ -246,7 +253,7 @@ class _Problem:
         keep_useless: bool = False,
         costs: OutcomeCosts | None = None,
         likely: Mapping[Atom, float] | None = None,
-        rather_not: Mapping[str, float] | None = None,
+        discouraged: Mapping[str, float] | None = None,
     ) -> None:
         if not goal:
             raise PlanningError("the goal is empty: there is nothing to plan for")
@@ -270,9 +277,9 @@ class _Problem:
         # Fact 0 always holds and stands for "no precondition": pyperplan's own stand-in is a string. The last one holds
         # until the first step, where there is anything to rely on.
         self._first = first = frozenset({len(self._asked) + 1}) if self._likely else frozenset()
-        unwanted = rather_not or {}
-        self._qualms = {
-            i: round(unwanted[str(op)] / COST_UNIT) for i, op in enumerate(self.ground) if str(op) in unwanted
+        extra = discouraged or {}
+        self._discouraged = {
+            i: round(extra[str(op)] / COST_UNIT) for i, op in enumerate(self.ground) if str(op) in extra
         }
         steps = [
             PyperplanOperator(i, facts(op.preconditions) or {0}, facts(op.add), facts(op.delete) | first)
@@ -309,11 +316,11 @@ class _Problem:
             return round(-math.log(self._likely[op.name - len(self.ground)][1]) / COST_UNIT)
         return round(self._costs.cost(self.ground[op.name], holding) / COST_UNIT)
 
-    def qualms(self, op: PyperplanOperator, node: SearchNode) -> int:
+    def discouragement(self, op: PyperplanOperator, node: SearchNode) -> int:
         """What it costs to begin with this operator; 0 where it is not the first step."""
-        if op.name not in self._qualms or not (node.parent is None or self._first & node.state):
+        if op.name not in self._discouraged or not (node.parent is None or self._first & node.state):
             return 0
-        return self._qualms[op.name]
+        return self._discouraged[op.name]
 
     def steps(self, found: Sequence[Any]) -> tuple[GroundOperator, ...]:
         return tuple(self.ground[op.name] for op in found if op.name < len(self.ground))

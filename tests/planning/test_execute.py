@@ -12,7 +12,7 @@ from resync_robot.core.skill import GroundSkill, Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Operator
 from resync_robot.core.world import Observation
-from resync_robot.planning.effect_hypotheses import without_habits
+from resync_robot.planning.effect_hypotheses import with_relaxed_recoveries
 from resync_robot.planning.execute import EpisodeEnd, ExecuteSettings, Model, plan_and_execute, run_skill
 from tests.planning.kitchen import (
     CLEAN,
@@ -326,8 +326,8 @@ def test_where_no_plan_is_left_it_goes_on_against_what_is_known() -> None:
     assert plan_and_execute(world, unwiped, GOAL, ExecuteSettings(suppose=False)).end is EpisodeEnd.NO_PLAN
 
 
-def test_what_was_given_is_a_habit_of_recoveries_alone() -> None:
+def test_what_was_given_is_dropped_from_the_preconditions_of_recoveries_alone() -> None:
     recovery = Operator("Wipe", (X,), frozenset({OPEN(X)}), frozenset({CLEAN(X)}))
     other = Operator("Fill", (X,), frozenset({OPEN(X), CLEAN(X)}), frozenset({FULL(X)}))
-    relaxed = without_habits((recovery, other), {"Clean"})
+    relaxed = with_relaxed_recoveries((recovery, other), {"Clean"})
     assert relaxed == (replace(recovery, preconditions=frozenset()), other)

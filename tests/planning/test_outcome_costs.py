@@ -14,7 +14,7 @@ from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Atoms, Operator, Predicate
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.planning.abstract import Exists, ForAll
-from resync_robot.planning.outcome_costs import CostSettings, OutcomeCosts, Tally, Whim
+from resync_robot.planning.outcome_costs import CostSettings, JitteredCosts, OutcomeCosts, Tally
 from resync_robot.planning.search import ground_all, plan
 from tests.planning.kitchen import CLEAN, FILL, FULL, OPEN, UNLID, WIPE, A, B, X
 from tests.planning.models import B1, BLOCKS, BOX_0, HOLDING, INSERT, ON, PICK, RECOVER, ROBOT_0, scene
@@ -143,22 +143,24 @@ def test_what_failed_just_now_is_not_begun_with_where_something_else_is_as_good(
     goal = frozenset({FULL(A), FULL(B)})
     atoms = frozenset({OPEN(A), OPEN(B), CLEAN(A), CLEAN(B)})
     usual = plan((FILL,), (A, B), atoms, goal).steps
-    other = plan((FILL,), (A, B), atoms, goal, rather_not={str(usual[0]): 0.05}).steps
+    other = plan((FILL,), (A, B), atoms, goal, discouraged={str(usual[0]): 0.05}).steps
     assert other == usual[::-1]
     # Relying on something is no step.
     likely = {CLEAN(B): 0.9}
-    relying = plan((FILL,), (A, B), atoms - {CLEAN(B)}, goal, likely=likely, rather_not={str(usual[0]): 0.05}).steps
+    relying = plan((FILL,), (A, B), atoms - {CLEAN(B)}, goal, likely=likely, discouraged={str(usual[0]): 0.05}).steps
     assert relying == usual[::-1]
     # Not at the price of a further step.
-    alone = plan((FILL, WIPE), (A, B), atoms, frozenset({FULL(A)}), rather_not={"Fill(a)": 0.05})
+    alone = plan((FILL, WIPE), (A, B), atoms, frozenset({FULL(A)}), discouraged={"Fill(a)": 0.05})
     assert [str(s) for s in alone.steps] == ["Fill(a)"]
 
 
-def test_a_whim_takes_another_of_plans_as_good_and_no_worse_one() -> None:
+def test_jitter_takes_another_of_plans_as_good_and_no_worse_one() -> None:
     goal, atoms = frozenset({FULL(A), FULL(B)}), frozenset({OPEN(A), OPEN(B), CLEAN(A), CLEAN(B)})
-    first = {plan((FILL,), (A, B), atoms, goal, costs=Whim(OutcomeCosts(), seed)).steps[0] for seed in range(20)}
+    first = {
+        plan((FILL,), (A, B), atoms, goal, costs=JitteredCosts(OutcomeCosts(), seed)).steps[0] for seed in range(20)
+    }
     assert len(first) == 2
     risky = OutcomeCosts({"Pour": [Tally(CLEAN, 0, (20, 20), (5, 20))]})
     for seed in range(20):
-        found = plan((POUR, WIPE), (A, B), frozenset({OPEN(A)}), FULL_A, costs=Whim(risky, seed))
+        found = plan((POUR, WIPE), (A, B), frozenset({OPEN(A)}), FULL_A, costs=JitteredCosts(risky, seed))
         assert [s.name for s in found.steps] == ["Wipe", "Pour"]

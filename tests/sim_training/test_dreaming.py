@@ -16,10 +16,13 @@ from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain
+from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.core.world import Observation
 from resync_robot.learning.dataset import ATTEMPT
 from resync_robot.learning.failures import FailureModel, fit_beside, place_beside, resampling
 from resync_robot.library_models import initial_model
+from resync_robot.planning.outcome_costs import JitteredCosts
+from resync_robot.planning.search import plan
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.dreaming import Dream, Dreamer, Placement, causes_of, reference_of, tally
 
@@ -171,3 +174,34 @@ def test_the_tally_counts_by_source() -> None:
     dreamer = _dreamer()
     lived = [t for seed in range(3) for t in dreamer.live(Dream((Placement(0, "after", 1),), seed))]
     assert tally(lived) == {"after1@1": {"dreamed": len(lived), "solved": sum(t.solved for t in lived)}}
+
+
+@pytest.mark.parametrize(
+    ("lived", "kept"),
+    [
+        ("Fetch! OpenDoor Fetch Bring", 4),
+        ("Fetch! OpenDoor! Fetch! Fetch!", 2),
+        ("OpenDoor! Shove OpenDoor Fetch", 4),
+        ("OpenDoor! Shove! Fetch!", 2),
+        ("Fetch! Fetch!", 2),
+    ],
+)
+def test_a_dream_ends_where_a_recovery_failed_and_no_other_one_followed(lived: str, kept: int) -> None:
+    state = _states("door", 1)[0]
+    steps = tuple(Transition(state, w.rstrip("!"), (), state, not w.endswith("!")) for w in lived.split())
+    dreamer = _dreamer(failures=(_failure(), replace(_failure(), recovery="Shove")))
+    trajectory = Trajectory(steps, frozenset(), True, "before1@0")
+    ended = dreamer._until_in_vain(trajectory)
+    assert ended.transitions == steps[:kept] and ended.solved == (kept == len(steps))
+
+
+def test_dreams_do_not_always_begin_with_the_same_thing() -> None:
+    """With two pucks to fetch and nothing in the way, now the one is fetched first and now the other."""
+    task = DOMAIN.scenario("two-pucks").sample(np.random.default_rng(0), 0)
+    model = initial_model(DOMAIN, None)
+    atoms = model.abstraction.true_atoms(task.initial)
+    first = {
+        plan(model.operators, task.objects, atoms, task.goal, costs=JitteredCosts(model.costs, seed)).steps[0]
+        for seed in range(12)
+    }
+    assert len({step.objects[1] for step in first}) == 2

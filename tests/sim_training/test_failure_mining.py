@@ -61,7 +61,7 @@ def test_a_skill_that_fails_inside_a_recovery_is_what_failed() -> None:
     model = initial_model(DOMAIN, None)
     robot, puck = task.initial.of_type(ROBOT)[0], task.initial.of_type(PUCK)[0]
     fetch = model.skill("Fetch")
-    useless = replace(fetch, begins_with=lambda objects: fetch.ground(objects))
+    useless = replace(fetch, name="Useless", begins_with=lambda objects: fetch.ground(objects))
     failed = attempt(DOMAIN.embodiment, task, replace(model, skills={**model.skills, "Fetch": useless}))
     assert failed is not None and (failed.skill, failed.objects) == ("Fetch", (robot, puck))
     assert {o.type for o in failed.run_into} == {DOOR}
