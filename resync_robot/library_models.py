@@ -178,18 +178,25 @@ def _costs(
     tallies: dict[str, list[Tally]] = {skill: [] for skill in experience}
     for skill, entries in experience.items():
         for entry in entries:
-            predicate, argument = by_name[entry["predicate"]], entry["argument"]
+            predicate, arguments = by_name[entry["predicate"]], _arguments(entry)
             form = form_from_json({**entry, "base": predicate.name}, by_name) if "form" in entry else None
             if isinstance(form, Not):
                 raise ValueError(f"{skill} is counted by {form.predicate.name}")
             predicate = predicate if form is None else form.predicate
-            if predicate.types != (() if argument is None else (signatures[skill][argument].type,)):
-                raise ValueError(f"{predicate.name} is not about argument {argument} of {skill}")
+            if predicate.types != tuple(signatures[skill][i].type for i in arguments):
+                raise ValueError(f"{predicate.name} is not about arguments {arguments} of {skill}")
             held, otherwise = ((int(s), int(n)) for s, n in (entry["held"], entry["otherwise"]))
             if not (0 <= held[0] <= held[1] and 0 <= otherwise[0] <= otherwise[1]):
                 raise ValueError(f"{skill} succeeded more often than it was tried")
-            tallies[skill].append(Tally(predicate, argument, held, otherwise, form))
+            tallies[skill].append(Tally(predicate, arguments, held, otherwise, form))
     return OutcomeCosts(tallies)
+
+
+def _arguments(entry: Mapping[str, Any]) -> tuple[int, ...]:
+    """What a tally is about. Libraries of before 2026-11-29 know tallies of one argument only."""
+    if "arguments" in entry:
+        return tuple(entry["arguments"])
+    return () if entry["argument"] is None else (entry["argument"],)
 
 
 def make_library(

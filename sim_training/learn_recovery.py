@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from safetensors.numpy import load_file, save_file
 
+from resync_robot.core.damage import reading
+from resync_robot.core.files import whole
 from resync_robot.core.library import Record
 from resync_robot.core.state import State
 from resync_robot.learning.learned_recovery import LearnedRecovery
@@ -23,6 +26,9 @@ from resync_robot.sim_training.recovery_elsewhere import tried_elsewhere
 from resync_robot.sim_training.recovery_env import JudgedSettings, RecoveryEnv, Tried
 from resync_robot.sim_training.recovery_problem import Problem
 from resync_robot.sim_training.shared_env import SharedEnv
+
+EVIDENCE = "attempts.safetensors"
+"""Lies beside the checkpoint."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,34 +106,34 @@ def learn_recovery(
     model = SuccessModel(problem.interface.features, seed)
     torch.manual_seed(seed)
     net = ActorCritic(s.width, s.depth, problem.interface.features, problem.interface.actions)
-    first: Tried = []
-    last: Tried = []
-    judged = 0
+    evidence = _Evidence(checkpoint.with_name(EVIDENCE), model)
 
     @contextmanager
     def open_environment(done: int) -> Iterator[RecoveryEnv | SharedEnv]:
-        nonlocal judged
-        with _opened(problem, model, seed + done, s, workers, pose) as env:
-            # What the model learned before a run was cut off it learns anew.
-            others = tried_elsewhere(problem, seed, s.elsewhere)
-            if others:
-                model.add(np.stack([run.features for run in others]), np.array([run.succeeded for run in others]))
-            env.attempt(s.attempts)
-            first.extend([*others, *env.learn()])
-            env.reset(torch.arange(s.ppo.scenes))
+        with _opened(problem, model, s.ppo.scenes, seed + done, s, workers, pose) as env:
+            # Of a run that was cut off before the policy was learned, the model learns anew what it had learned.
+            if not evidence.read(done):
+                others = tried_elsewhere(problem, seed, s.elsewhere)
+                if others:
+                    model.add(np.stack([run.features for run in others]), np.array([run.succeeded for run in others]))
+                env.attempt(s.attempts)
+                evidence.began([*others, *env.learn()])
+                env.reset(torch.arange(s.ppo.scenes))
             yield env
-            # In the scenes that are open anyway.
-            last.extend(env.roll_out(net.eval(), s.roll_outs))
-            judged = env.judged
+            evidence.verdicts += env.judged
 
     curve = train_policy(net, open_environment, s.ppo, seed, checkpoint, progress)
+    evidence.write(int(curve["steps"][-1]))
+    with _opened(problem, model, max(workers, 1), seed + s.ppo.total_steps + 1, s, workers, pose) as env:
+        last = env.roll_out(net.eval(), s.roll_outs)
+        verdicts = evidence.verdicts + env.judged
     # Every verdict that was asked for says where the skill succeeds, and so when the recovery is done.
     x, y = model.remembered()
     x = np.concatenate([x, *(run.features[None] for run in last)])
     y = np.append(y, [run.succeeded for run in last]).astype(bool)
     done, accuracy = train_terminal(_tensor(x), torch.as_tensor(y).long(), seed)
     # It fails where it was first seen to fail, and would not have failed where a recovery ends.
-    begun = np.stack([run.features for run in first if not run.succeeded])
+    begun = evidence.failed
     failed, failed_accuracy = train_terminal(
         _tensor(np.concatenate([x[y], begun])), torch.arange(int(y.sum()) + len(begun)) >= int(y.sum()), seed + 1
     )
@@ -145,12 +151,56 @@ def learn_recovery(
     figures = {
         "curve": curve,
         "steps": curve["steps"][-1],
-        "attempts": len(first),
-        "verdicts": judged,
+        "attempts": evidence.attempts,
+        "verdicts": verdicts,
         "terminal_accuracy": round(accuracy, 4),
         "failure_detector_accuracy": round(failed_accuracy, 4),
     }
     return Learned(recovery, failed, tuple(run.state for run in last if run.succeeded), figures)
+
+
+class _Evidence:
+    """What learning a policy left of the skill's attempts, in a file beside its checkpoint: with both, a run that was
+    cut off behind it ends as it would have.
+
+    Attributes:
+        failed: (n, d) features of the first attempts that failed.
+        attempts, verdicts: how many were made first, and in all.
+    """
+
+    def __init__(self, path: Path, model: SuccessModel) -> None:
+        self._path, self._model = path, model
+        self.failed = np.zeros((0, 0))
+        self.attempts = self.verdicts = 0
+
+    def began(self, runs: Tried) -> None:
+        """The first attempts."""
+        self.attempts = len(runs)
+        failed = [run.features for run in runs if not run.succeeded]
+        self.failed = np.stack(failed) if failed else self.failed
+
+    def write(self, steps: int) -> None:
+        """Of a policy that was learned in so many steps."""
+        x, y = self._model.remembered()
+        counts = np.array([steps, self.attempts, self.verdicts])
+        found = {"features": x, "succeeded": y, "failed": self.failed, "counts": counts}
+        with whole(self._path) as beside:
+            save_file({**found, **{f"model.{k}": v for k, v in self._model.weights().items()}}, beside)
+
+    def read(self, steps: int) -> bool:
+        """Whether it is there of a policy that was learned in so many steps. Raises TrainingError where the file is
+        damaged."""
+        if steps == 0 or not self._path.exists():
+            return False
+        with reading(self._path):
+            found = load_file(self._path)
+            known, attempts, verdicts = found["counts"].tolist()
+            if known != steps:
+                return False
+            self._model.add(found["features"], found["succeeded"])
+            self._model.load({k[6:]: v for k, v in found.items() if k.startswith("model.")})
+            self.failed, self.attempts, self.verdicts = found["failed"], attempts, verdicts
+        return True
 
 
 def _tensor(features: np.ndarray) -> torch.Tensor:
@@ -161,6 +211,7 @@ def _tensor(features: np.ndarray) -> torch.Tensor:
 def _opened(
     problem: Problem,
     model: SuccessModel,
+    scenes: int,
     seed: int,
     s: RecoverySettings,
     workers: int,
@@ -168,10 +219,10 @@ def _opened(
 ) -> Iterator[RecoveryEnv | SharedEnv]:
     """The scenes, in this process or in others."""
     if workers > 0 and pose is not None:
-        with SharedEnv(partial(_part, pose, workers, seed, s), model, s.ppo.scenes, workers) as env:
+        with SharedEnv(partial(_part, pose, workers, seed, s), model, scenes, workers) as env:
             yield env
     else:
-        yield RecoveryEnv(problem, model, count=s.ppo.scenes, seed=seed, gamma=s.ppo.gamma, settings=s.judged)
+        yield RecoveryEnv(problem, model, count=scenes, seed=seed, gamma=s.ppo.gamma, settings=s.judged)
 
 
 def _part(

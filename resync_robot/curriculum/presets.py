@@ -32,13 +32,13 @@ STAGE_PRESETS = {
         recovery=RecoverySettings(
             attempts=60,
             ppo=PpoSettings(
-                scenes=32, total_steps=30_000, least_steps=8_000, stop_at=0.9, minibatch=256, anneal_steps=20_000
+                scenes=32, total_steps=30_000, least_steps=16_000, stop_at=0.95, minibatch=256, anneal_steps=20_000
             ),
             roll_outs=30,
         ),
         checks=16,
-        dreams=40,
-        attempts=80,
+        dreams=80,
+        attempts=240,
     ),
     "quick": StagePreset(),
     "full": StagePreset(failures=500, checks=200, dreams=1000, attempts=2000),

@@ -264,6 +264,7 @@ class _Pool:
     def __init__(self, dataset: Dataset, parameters: Mapping[str, tuple[Variable, ...]]) -> None:
         self.dataset, self.parameters = dataset, parameters
         self.concepts: list[Concept] = []
+        self._robots = {variables[0].type for variables in parameters.values() if variables}
         self._seen: set[tuple[tuple[Type, ...], tuple[frozenset[tuple[Object, ...]], ...]]] = set()
 
     def add_known(self, predicates: Sequence[Predicate], truth: Sequence[Atoms]) -> None:
@@ -299,7 +300,8 @@ class _Pool:
                 continue
             truth: tuple[Atoms, ...] = tuple(frozenset(predicate(*args) for args in h) for h in held)
             columns = evidence(self.dataset, truth, predicate, self.parameters, learned=True)
-            self.concepts.append(Concept(predicate, form, base, candidate, fitted, truth, columns))
+            about = sum(t not in self._robots for t in predicate.types)
+            self.concepts.append(Concept(predicate, form, base, candidate, fitted, truth, columns, about))
 
 
 def _held(table: Sequence[Table]) -> tuple[frozenset[tuple[Object, ...]], ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from itertools import product
 from typing import Any
 
 from resync_robot.core.symbols import Atom, Operator, Predicate
@@ -24,8 +25,8 @@ def experience(
             holds of all: what bars one thing may be in the way to another.
 
     Returns:
-        Plain data: for each predicate of one argument of the skill, or of none, negations left out, `predicate`,
-        `argument` (its position, or null), and [successes, attempts] where the atom `held`, and `otherwise`; `form` and
+        Plain data: for each predicate of some arguments of the skill, or of none, negations left out, `predicate`,
+        `arguments` (their positions), and [successes, attempts] where the atom `held`, and `otherwise`; `form` and
         `over` where the predicate that is counted follows from that one.
     """
     by_name = {o.name: o for o in operators}
@@ -34,7 +35,7 @@ def experience(
         (*abstraction.predicates, *forms), {**abstraction.classifiers, **{p.name: f for p, f in forms.items()}}
     )
     plain = [p for p in grounded.predicates if not isinstance(grounded.classifiers[p.name], Not)]
-    counts: dict[str, dict[tuple[Predicate, int | None], dict[bool, list[int]]]] = {
+    counts: dict[str, dict[tuple[Predicate, tuple[int, ...]], dict[bool, list[int]]]] = {
         o.name: {(p, i): {True: [0, 0], False: [0, 0]} for p in plain for i in _places(p, o)} for o in operators
     }
     for trajectory in trajectories:
@@ -45,14 +46,14 @@ def experience(
             atoms = grounded.true_atoms(t.before)
             if not operator.ground(t.objects).applicable(atoms):
                 continue
-            for (predicate, i), by in counts[t.skill].items():
-                count = by[Atom(predicate, () if i is None else (t.objects[i],)) in atoms]
+            for (predicate, places), by in counts[t.skill].items():
+                count = by[Atom(predicate, tuple(t.objects[i] for i in places)) in atoms]
                 count[0] += t.succeeded
                 count[1] += 1
     return {
         skill: [
-            {**_named(p, forms), "argument": i, "held": by[True], "otherwise": by[False]}
-            for (p, i), by in sorted(tallies.items(), key=lambda item: (item[0][0].name, item[0][1] or 0))
+            {**_named(p, forms), "arguments": list(places), "held": by[True], "otherwise": by[False]}
+            for (p, places), by in sorted(tallies.items(), key=lambda item: (item[0][0].name, item[0][1]))
         ]
         for skill, tallies in counts.items()
     }
@@ -72,11 +73,10 @@ def _forms(abstraction: Abstraction, given: Collection[Predicate]) -> dict[Predi
     return {form.predicate: form for form in found if form.predicate not in abstraction.predicates}
 
 
-def _places(predicate: Predicate, operator: Operator) -> list[int | None]:
+def _places(predicate: Predicate, operator: Operator) -> list[tuple[int, ...]]:
     """Which of the operator's parameters it can be about."""
-    if not predicate.types:
-        return [None]
-    return [i for i, v in enumerate(operator.parameters) if predicate.types == (v.type,)]
+    of_type = [[i for i, v in enumerate(operator.parameters) if v.type == t] for t in predicate.types]
+    return [places for places in product(*of_type) if len(set(places)) == len(places)]
 
 
 def _named(predicate: Predicate, forms: dict[Predicate, Exists | ForAll]) -> dict[str, Any]:

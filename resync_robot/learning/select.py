@@ -1,9 +1,10 @@
 """Which concepts to keep: hill climbing on how well planning with them explains the data (J).
 
-Default J, in per cent: how far the first plan is from each demonstration, no plan being as far as can be, plus the
-shares of failed attempts that the operators allow and of successful ones that they forbid. Nodes are counted but buy
-nothing: an improvement that only saves nodes picks junk such as "was picked before". The published J weighs node
-counts over several plans.
+Default J, in per cent: how far each demonstration is from the first plan, no plan being as far as can be, plus the
+shares of failed attempts that the operators allow and of successful ones that they forbid. A demonstration that the
+operators allow and that is no longer than that plan is one of the plans that are as good, and as near as can be: which
+of them is found first says nothing of the concepts. Nodes are counted but buy nothing: an improvement that only saves
+nodes picks junk such as "was picked before". The published J weighs node counts over several plans.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from resync_robot.core.errors import PlanningError
-from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Variable
-from resync_robot.learning.dataset import ATTEMPT, Dataset, Step
+from resync_robot.core.symbols import Atoms, GroundOperator, Object, Operator, Predicate, Variable
+from resync_robot.learning.dataset import ATTEMPT, Dataset, Run, Step
 from resync_robot.learning.effects import Candidate
 from resync_robot.learning.fit import Fit
 from resync_robot.learning.operators import Evidence, OperatorConfig, learn_operator
@@ -33,6 +34,7 @@ class Concept:
         base: what it derives from in the end; itself where `form` is None.
         candidate, fit: of the base; None where that is given.
         truth: for each moment the atoms that hold.
+        about: how many of its arguments are not the robot.
     """
 
     predicate: Predicate
@@ -42,19 +44,22 @@ class Concept:
     fit: Fit | None
     truth: tuple[Atoms, ...]
     evidence: Evidence
+    about: int
 
     @property
-    def preference(self) -> tuple[bool, int, bool, float, str]:
+    def preference(self) -> tuple[bool, int, bool, int, float, str]:
         """Smaller is better, among concepts that explain equally well.
 
         Labelled by attempts first; then effects that leave every other skill at 0, (0, +, 0) before (0, +, -): what
-        the next skill destroys again is no state of the world; then positive forms, and the better fit.
+        the next skill destroys again is no state of the world; then positive forms, what says of more objects that it
+        holds of them, for then the planner knows for which of them to bring it about, and the better fit.
         """
         candidate = self.candidate
         return (
             candidate is not None and candidate.attempts is None,
             len(candidate.effects) if candidate else 0,
             isinstance(self.form, Not),
+            -self.about,
             round(self.fit.loss, 3) if self.fit else 0.0,
             self.predicate.name,
         )
@@ -137,7 +142,7 @@ class Selector:
         self.failures = [s for r in dataset.runs for s in r.failures]
         self.successes = [s for r in dataset.runs for s in r.steps]
         self._memory: dict[tuple[Operator, ...], dict[tuple[object, ...], tuple[Plan, ...]]] = {}
-        self._grounded: dict[tuple[Operator, tuple[Object, ...]], Atoms] = {}
+        self._grounded: dict[tuple[Operator, tuple[Object, ...]], GroundOperator] = {}
 
     def operators(self, concepts: Sequence[Concept]) -> tuple[Operator, ...]:
         """Learned from the data with the given predicates and these concepts."""
@@ -160,8 +165,7 @@ class Selector:
             wanted = {g.predicate for g in run.goal} | asked
             known = frozenset(a for a in atoms if a.predicate in wanted)
             found = self._plans(operators, run.objects, known, run.goal)
-            demonstrated = tuple((s.skill, s.objects) for s in run.steps)
-            costs.append(self._cost(found, demonstrated))
+            costs.append(self._cost(found, run, self._leads_to(run, operators, known)))
             nodes.append(found[0].nodes_created if found else self.config.max_nodes)
         error = float(np.mean(costs)) if costs else self.config.penalty
         allowed = self._share_applicable(operators, self.failures, concepts)
@@ -174,17 +178,29 @@ class Selector:
     ) -> float:
         by_name = {op.name: op for op in operators}
         known = [s for s in steps if s.skill in by_name]
-        met = [self._preconditions(by_name[s.skill], s.objects) <= self._atoms(s.before, concepts) for s in known]
+        met = [self._ground(by_name[s.skill], s.objects).applicable(self._atoms(s.before, concepts)) for s in known]
         return float(np.mean(met)) if met else 0.0
 
     def _atoms(self, moment: int, concepts: Sequence[Concept]) -> Atoms:
         return self.given[moment].union(*(k.truth[moment] for k in concepts))
 
-    def _preconditions(self, operator: Operator, objects: tuple[Object, ...]) -> Atoms:
+    def _ground(self, operator: Operator, objects: tuple[Object, ...]) -> GroundOperator:
         key = (operator, objects)
         if key not in self._grounded:
-            self._grounded[key] = operator.ground(objects).preconditions
+            self._grounded[key] = operator.ground(objects)
         return self._grounded[key]
+
+    def _leads_to(self, run: Run, operators: Sequence[Operator], atoms: Atoms) -> bool:
+        """Whether a demonstration is a plan of these operators."""
+        by_name = {op.name: op for op in operators}
+        for step in run.steps:
+            if step.skill not in by_name:
+                return False
+            ground = self._ground(by_name[step.skill], step.objects)
+            if not ground.applicable(atoms):
+                return False
+            atoms = ground.apply(atoms)
+        return run.goal <= atoms
 
     def _plans(
         self, operators: tuple[Operator, ...], objects: tuple[Object, ...], atoms: Atoms, goal: Atoms
@@ -201,12 +217,15 @@ class Selector:
                     memory[key] = ()
         return memory[key]
 
-    def _cost(self, found: Sequence[Plan], demonstrated: Sequence_) -> float:
+    def _cost(self, found: Sequence[Plan], run: Run, allowed: bool) -> float:
+        demonstrated = tuple((s.skill, s.objects) for s in run.steps)
         if self.config.plans > 1:
             return _published_cost(found, demonstrated, self.config.penalty)
         if not found:
             return self.config.penalty
         planned = tuple((s.name, s.objects) for s in found[0].steps)
+        if allowed and len(demonstrated) <= len(planned):
+            return 0.0
         longest = max(len(planned), len(demonstrated), 1)
         return self.config.penalty * edit_distance(planned, demonstrated) / longest
 

@@ -25,27 +25,27 @@ JITTER = 0.05
 
 @dataclass(frozen=True)
 class Tally:
-    """How the attempts of a skill went whose preconditions held, by an atom about one of its arguments, or about all
+    """How the attempts of a skill went whose preconditions held, by an atom about some of its arguments, or about all
     there is.
 
     The tallies of one skill count the same attempts.
 
     Attributes:
-        predicate: of one argument, or of none.
-        argument: position of that argument among those of the skill; None where it has none.
+        predicate: of some arguments, or of none.
+        arguments: positions of these among those of the skill.
         held: the attempts before which the atom held.
         otherwise: the rest.
         form: what `predicate` follows from where the model does not know it: "it holds something", "all are ready".
     """
 
     predicate: Predicate
-    argument: int | None
+    arguments: tuple[int, ...]
     held: Count
     otherwise: Count
     form: Exists | ForAll | None = None
 
     def atom(self, step: GroundOperator) -> Atom:
-        return self.predicate(*(() if self.argument is None else (step.objects[self.argument],)))
+        return self.predicate(*(step.objects[i] for i in self.arguments))
 
     @property
     def total(self) -> Count:

@@ -92,7 +92,12 @@ def test_a_run_that_is_cut_off_anywhere_ends_in_the_same_library(tmp_path: Path)
     train(TrainConfig(domain=PUCKS, preset="smoke", out=whole, stages="1", workers=1))
     expected = load_library(whole / "library").content_hash
     later = ["library", "stages/1-OpenDoor/library", "stages/1-OpenDoor/dreams-*", "stages/1-OpenDoor/recovered.json"]
-    later += ["stages/1-OpenDoor/recovery.*", "stages/1-OpenDoor/ppo.safetensors", "stages/1-OpenDoor/failures.json"]
+    later += [
+        "stages/1-OpenDoor/recovery.*",
+        "stages/1-OpenDoor/ppo.safetensors",
+        "stages/1-OpenDoor/attempts.safetensors",
+    ]
+    later += ["stages/1-OpenDoor/failures.json"]
     for count in range(1, len(later) + 1):
         cut = tmp_path / f"cut-{count}"
         shutil.copytree(whole, cut)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object, Predicate
+from resync_robot.core.symbols import Object, Operator, Predicate, Variable
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.learning.outcome_counts import experience
 from resync_robot.planning.abstract import Abstraction, Not
@@ -49,9 +51,9 @@ def test_attempts_are_counted_by_what_held() -> None:
     found = experience(runs, ABSTRACTION, (FILL,), given=(OPEN, FULL, CLEAN))
     assert set(found) == {"Fill"}
     assert found["Fill"] == [
-        {"predicate": "Clean", "argument": 0, "held": [3, 4], "otherwise": [0, 0]},
-        {"predicate": "Full", "argument": 0, "held": [1, 2], "otherwise": [2, 2]},
-        {"predicate": "Open", "argument": 0, "held": [3, 4], "otherwise": [0, 0]},
+        {"predicate": "Clean", "arguments": [0], "held": [3, 4], "otherwise": [0, 0]},
+        {"predicate": "Full", "arguments": [0], "held": [1, 2], "otherwise": [2, 2]},
+        {"predicate": "Open", "arguments": [0], "held": [3, 4], "otherwise": [0, 0]},
     ]
 
 
@@ -63,8 +65,8 @@ def test_it_counts_too_whether_a_given_predicate_holds_of_an_argument_and_anythi
     found = experience(runs, abstraction, (FILL,), given=(OPEN, FULL, CLEAN, BESIDE))["Fill"]
     assert [t for t in found if "over" in t] == [
         # The other cup is full each time, the filled one once.
-        {"predicate": "Beside", "form": "Exists", "over": [0], "argument": 0, "held": [0, 1], "otherwise": [1, 1]},
-        {"predicate": "Beside", "form": "Exists", "over": [1], "argument": 0, "held": [1, 2], "otherwise": [0, 0]},
+        {"predicate": "Beside", "form": "Exists", "over": [0], "arguments": [0], "held": [0, 1], "otherwise": [1, 1]},
+        {"predicate": "Beside", "form": "Exists", "over": [1], "arguments": [0], "held": [1, 2], "otherwise": [0, 0]},
     ]
     plain = experience(runs, ABSTRACTION, (FILL,), given=(OPEN, FULL, CLEAN))["Fill"]
     assert [t for t in found if "over" not in t] == plain
@@ -75,5 +77,19 @@ def test_it_counts_too_whether_what_was_learned_holds_of_all() -> None:
     runs = [Trajectory(tuple(tried), frozenset({FULL(A)}), True, "dream")]
     found = experience(runs, ABSTRACTION, (FILL,), given=(OPEN, CLEAN))["Fill"]
     assert [t for t in found if "form" in t] == [
-        {"predicate": "Full", "form": "ForAll", "over": [0], "argument": None, "held": [0, 1], "otherwise": [1, 1]}
+        {"predicate": "Full", "form": "ForAll", "over": [0], "arguments": [], "held": [0, 1], "otherwise": [1, 1]}
     ]
+
+
+def test_it_counts_what_holds_of_two_arguments_together() -> None:
+    """A skill over two cups, and whether the second is beside the first."""
+    beside = {"Beside": lambda state, pair: float(state.get(pair[1], "full")[0] - state.get(pair[0], "full")[0])}
+    over = Operator("PourOver", (Variable("?x", CUP), Variable("?y", CUP)))
+    tried = [attempt(A, True, full=0), attempt(A, False, full=1)]
+    pairs = [replace(t, skill="PourOver", objects=(A, B)) for t in tried]
+    runs = [Trajectory(tuple(pairs), frozenset({FULL(A)}), True, "dream")]
+    found = experience(runs, Abstraction((BESIDE,), beside), (over,))["PourOver"]
+    assert {tuple(t["arguments"]): (t["held"], t["otherwise"]) for t in found} == {
+        (0, 1): ([1, 1], [0, 1]),
+        (1, 0): ([0, 0], [1, 2]),
+    }

@@ -16,7 +16,9 @@ from tests.planning.kitchen import CLEAN, FILL, FULL, OPEN, WIPE, A, B
 
 DONE, BLOCKED, REFUSED = SkillOutcome(SkillEnd.DONE), SkillOutcome(SkillEnd.BLOCKED), SkillOutcome(SkillEnd.REFUSED)
 FILL_A, WIPE_A = FILL.ground((A,)), WIPE.ground((A,))
-PRACTISED = OutcomeCosts({"Fill": [Tally(OPEN, 0, (690, 690), (0, 0))], "Wipe": [Tally(OPEN, 0, (46, 50), (0, 0))]})
+PRACTISED = OutcomeCosts(
+    {"Fill": [Tally(OPEN, (0,), (690, 690), (0, 0))], "Wipe": [Tally(OPEN, (0,), (46, 50), (0, 0))]}
+)
 MEASURED = {"Clean": 0.05}
 
 

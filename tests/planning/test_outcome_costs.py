@@ -11,17 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from resync_robot.core.errors import PlanningError
-from resync_robot.core.symbols import Atoms, Operator, Predicate
+from resync_robot.core.symbols import Atoms, Operator, Predicate, Variable
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.planning.abstract import Exists, ForAll
 from resync_robot.planning.outcome_costs import CostSettings, JitteredCosts, OutcomeCosts, Tally
 from resync_robot.planning.search import ground_all, plan
-from tests.planning.kitchen import CLEAN, FILL, FULL, OPEN, UNLID, WIPE, A, B, X
+from tests.planning.kitchen import CLEAN, CUP, FILL, FULL, OPEN, UNLID, WIPE, A, B, X
 from tests.planning.models import B1, BLOCKS, BOX_0, HOLDING, INSERT, ON, PICK, RECOVER, ROBOT_0, scene
 
 COVERED = Predicate("Covered", (BLOCK,))
 STACKING = (PICK, RECOVER, replace(INSERT, add=INSERT.add | {COVERED(B1)}))
-TOWERS_FALL = OutcomeCosts({"Pick": [Tally(COVERED, 1, (18, 20), (97, 98))]})
+TOWERS_FALL = OutcomeCosts({"Pick": [Tally(COVERED, (1,), (18, 20), (97, 98))]})
 GOAL = frozenset({ON(BLOCKS[1], BLOCKS[0]), ON(BLOCKS[2], BLOCKS[1])})
 POUR = Operator("Pour", (X,), frozenset({OPEN(X)}), frozenset({FULL(X)}))
 """As `FILL`, and it may be tried with a cup that is not clean."""
@@ -37,13 +37,13 @@ def test_a_tower_is_built_from_below_where_lifting_one_failed_more_often() -> No
     found = plan(STACKING, objects, atoms, GOAL, costs=TOWERS_FALL)
     assert picked(found) == ["b1", "b2"]
     # Where it never failed and is what was practised, the tower is lifted.
-    other = OutcomeCosts({"Pick": [Tally(COVERED, 1, (98, 98), (5, 9))]})
+    other = OutcomeCosts({"Pick": [Tally(COVERED, (1,), (98, 98), (5, 9))]})
     assert picked(plan(STACKING, objects, atoms, GOAL, costs=other)) == ["b2", "b1"]
 
 
 @pytest.mark.parametrize(("won", "steps"), [(5, ["Wipe", "Pour"]), (19, ["Pour"])])
 def test_a_further_step_is_taken_where_it_saves_more_risk_than_it_costs(won: int, steps: list[str]) -> None:
-    costs = OutcomeCosts({"Pour": [Tally(CLEAN, 0, (20, 20), (won, 20))]})
+    costs = OutcomeCosts({"Pour": [Tally(CLEAN, (0,), (20, 20), (won, 20))]})
     found = plan((POUR, WIPE), (A, B), frozenset({OPEN(A)}), FULL_A, costs=costs)
     assert [s.name for s in found.steps] == steps
     assert len(plan((POUR, WIPE), (A, B), frozenset({OPEN(A)}), FULL_A).steps) == 1, "the shortest without counts"
@@ -52,11 +52,11 @@ def test_a_further_step_is_taken_where_it_saves_more_risk_than_it_costs(won: int
 def test_success_is_estimated_from_counts_and_a_prior() -> None:
     pour = POUR.ground((A,))
     assert OutcomeCosts({}).success(pour, {CLEAN(A)}) == pytest.approx(0.9)
-    one = OutcomeCosts({"Pour": [Tally(CLEAN, 0, (98, 100), (0, 0))]})
+    one = OutcomeCosts({"Pour": [Tally(CLEAN, (0,), (98, 100), (0, 0))]})
     expected = 0.95 * (98 + 5 * 0.9) / (100 + 5)
     assert one.success(pour, {CLEAN(A)}) == pytest.approx((98 + 10 * expected) / (100 + 10))
     assert one.success(pour, set()) == pytest.approx(expected), "never tried, and so a little riskier"
-    clean, full = Tally(CLEAN, 0, (90, 100), (0, 0)), Tally(FULL, 0, (5, 10), (85, 90))
+    clean, full = Tally(CLEAN, (0,), (90, 100), (0, 0)), Tally(FULL, (0,), (5, 10), (85, 90))
     both = OutcomeCosts({"Pour": [clean, full]})
     assert both.atoms(pour) == [CLEAN(A), FULL(A)]
     expected = 0.95 * (90 + 4.5) / 105
@@ -71,7 +71,7 @@ def test_success_is_estimated_from_counts_and_a_prior() -> None:
 def test_what_nobody_tried_with_a_full_hand_is_done_before_the_hand_is_full() -> None:
     holds = Exists(HOLDING, (1,))
     objects, atoms = scene(2, {0, 1})
-    empty_handed = OutcomeCosts({"Recover": [Tally(holds.predicate, 0, (0, 0), (50, 50), holds)]})
+    empty_handed = OutcomeCosts({"Recover": [Tally(holds.predicate, (0,), (0, 0), (50, 50), holds)]})
     anytime = replace(RECOVER, preconditions=frozenset())
     found = plan((PICK, anytime, INSERT), objects, atoms, frozenset({ON(BLOCKS[1], BLOCKS[0])}), costs=empty_handed)
     assert [s.name for s in found.steps] == ["Recover", "Recover", "Pick", "Insert"]
@@ -82,10 +82,21 @@ def test_what_nobody_tried_with_a_full_hand_is_done_before_the_hand_is_full() ->
     assert empty_handed.circumstances(holding, objects) == {*holding, holds.predicate(ROBOT_0)}
 
 
+def test_what_nobody_tried_with_two_things_together_is_tried_last() -> None:
+    """Both cups could be wiped to make all well; only a cup beside the other was ever wiped."""
+    beside, well = Predicate("Beside", (CUP, CUP)), Predicate("AllWell", ())
+    y = Variable("?y", CUP)
+    wipe = Operator("WipeBeside", (X, y), frozenset(), frozenset({well()}))
+    costs = OutcomeCosts({"WipeBeside": [Tally(beside, (1, 0), (50, 50), (0, 0))]})
+    for atom, wiped in ((beside(B, A), (A, B)), (beside(A, B), (B, A))):
+        found = plan((wipe,), (A, B), frozenset({atom}), frozenset({well()}), costs=costs)
+        assert [s.objects for s in found.steps] == [wiped]
+
+
 def test_what_bars_one_thing_may_be_in_the_way_to_another() -> None:
     """All cups are wiped before the first is filled, where that failed beside a dirty one."""
     all_clean = ForAll(CLEAN, (0,))
-    costs = OutcomeCosts({"Fill": [Tally(all_clean.predicate, None, (40, 40), (20, 30), all_clean)]})
+    costs = OutcomeCosts({"Fill": [Tally(all_clean.predicate, (), (40, 40), (20, 30), all_clean)]})
     goal = frozenset({FULL(A), FULL(B)})
     open_ = frozenset({OPEN(A), OPEN(B), CLEAN(A)})
     assert [s.name for s in plan((FILL, WIPE), (A, B), open_, goal, costs=costs).steps] == ["Wipe", "Fill", "Fill"]
@@ -103,7 +114,7 @@ def test_out_of_reach_is_told_as_without_costs() -> None:
 DRAIN = Operator("Drain", (X,), frozenset({FULL(X)}), frozenset({CLEAN(X)}), frozenset({FULL(X), OPEN(X)}))
 KITCHEN = (UNLID, FILL, WIPE, POUR, DRAIN)
 COUNTS = st.tuples(st.integers(0, 20), st.integers(0, 20)).map(lambda c: (c[0], c[0] + c[1]))
-TALLIES = st.builds(Tally, st.sampled_from([OPEN, FULL, CLEAN]), st.just(0), COUNTS, COUNTS)
+TALLIES = st.builds(Tally, st.sampled_from([OPEN, FULL, CLEAN]), st.just((0,)), COUNTS, COUNTS)
 
 
 @given(
@@ -160,7 +171,7 @@ def test_jitter_takes_another_of_plans_as_good_and_no_worse_one() -> None:
         plan((FILL,), (A, B), atoms, goal, costs=JitteredCosts(OutcomeCosts(), seed)).steps[0] for seed in range(20)
     }
     assert len(first) == 2
-    risky = OutcomeCosts({"Pour": [Tally(CLEAN, 0, (20, 20), (5, 20))]})
+    risky = OutcomeCosts({"Pour": [Tally(CLEAN, (0,), (20, 20), (5, 20))]})
     for seed in range(20):
         found = plan((POUR, WIPE), (A, B), frozenset({OPEN(A)}), FULL_A, costs=JitteredCosts(risky, seed))
         assert [s.name for s in found.steps] == ["Wipe", "Pour"]
