@@ -8,7 +8,6 @@ from functools import partial
 
 from resync_robot.core.embodiment import Embodiment, Stage
 from resync_robot.core.rig import Rig
-from resync_robot.core.task import Domain
 from resync_robot.policies.press_interface import PressInterface
 from resync_robot.policies.scripted import RATE_HZ, scripted_skills
 from resync_robot.sim_training.physics.world import SimWorld
@@ -25,6 +24,6 @@ def arm_embodiment(rig: Rig) -> Embodiment:
     )
 
 
-def arm_stage(domain: Domain, rig: Rig) -> Stage:
-    """The stage of an arm's domain, its recovery a press of the closed hand."""
-    return replace(domain.stages[0], interface=PressInterface(rig))
+def arm_stage(stage: Stage, rig: Rig) -> Stage:
+    """A stage of an arm's domain, its recovery a press of the closed hand."""
+    return replace(stage, interface=PressInterface(rig))

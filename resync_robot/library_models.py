@@ -37,7 +37,9 @@ def embodiment_of(domain: Domain, rig: Rig | None) -> Embodiment:
     """The robot of a domain: its own, or the arm of the rig. Raises ConfigError where there is none."""
     if domain.embodiment is not None:
         return domain.embodiment
-    raise ConfigError(f"the domain {domain.name} declares no embodiment", "see docs/own-domain.md")
+    from resync_robot.arm_embodiment import arm_embodiment  # its simulator takes seconds to import
+
+    return arm_embodiment(_required(rig))
 
 
 def initial_model(domain: Domain, rig: Rig | None) -> Model:

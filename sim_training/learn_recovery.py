@@ -110,9 +110,10 @@ def learn_recovery(
 
     @contextmanager
     def open_environment(done: int) -> Iterator[RecoveryEnv | SharedEnv]:
+        # Of a run that was cut off before the policy was learned, the model learns anew what it had learned.
+        known = evidence.read(done)
         with _opened(problem, model, s.ppo.scenes, seed + done, s, workers, pose) as env:
-            # Of a run that was cut off before the policy was learned, the model learns anew what it had learned.
-            if not evidence.read(done):
+            if not known:
                 others = tried_elsewhere(problem, seed, s.elsewhere)
                 if others:
                     model.add(np.stack([run.features for run in others]), np.array([run.succeeded for run in others]))

@@ -16,17 +16,20 @@ from resync_robot.core.files import write_json
 from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.core.trajectory import Trajectory, Transition, write_trajectories
-from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
+from resync_robot.curriculum.dream import CHUNK
+from resync_robot.curriculum.mine import FAILURES, task_of
+from resync_robot.curriculum.presets import ARM_PRESETS
 from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.run_settings import RunSettings
-from resync_robot.curriculum.stage_files import Mined
-from resync_robot.curriculum.stages import CHUNK, PRESETS
-from resync_robot.learning.failures import Culprit
+from resync_robot.curriculum.stage_folder import StageFolder
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE, ActorCritic
+from resync_robot.learning.success_model import SuccessModel
 from resync_robot.library_models import shipped_library
 from resync_robot.sim_training import ppo
-from resync_robot.sim_training.domains import find_domain, world_task
-from tests.libraries import DOMAIN, gaussians_of
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.learn_recovery import EVIDENCE, _Evidence
+from tests.libraries import DOMAIN
+from tests.scenes import B0, R
 
 POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
 
@@ -34,38 +37,40 @@ POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize
 def make_run(path: Path) -> RunFolder:
     """The folder of a smoke run with --skills state that was cut off while it learned concepts."""
     domain, library = find_domain(DOMAIN), load_library(shipped_library(DOMAIN))
-    folder = RunFolder(path)
+    run, stage = RunFolder(path), domain.stages[0]
+    folder = StageFolder(run, 1, stage.recovery)
     settings = RunSettings(preset="smoke", skills="state")
     write_json(path / "config.json", {**asdict(settings), "rig": load_rig().hash, "git": "unknown"})
-    task = world_task(domain, "s0", 0, 0)
-    robot, block = (next(o for o in task.objects if o.type == kind) for kind in (ROBOT, BLOCK))
-    tried = Transition(task.initial, "Pick", (robot, block), task.initial, succeeded=False)
-    attempts = [Trajectory((tried,), task.goal, False, source) for source in ("attempt", "before@base")]
-    gaussians = gaussians_of(library)
-    box = next(o for o in task.objects if o.type == BOX)
-    mined = Mined(Culprit("Pick", box, 1), block, gaussians["before"], (1000, 1001), "s0")
-    write_trajectories(folder.stages / "mining.jsonl", attempts)
-    write_json(folder.stages / "failures.json", mined.to_json())
+    tasks = {seed: task_of(domain, stage, seed) for seed in range(1000, 1006)}
+    states = {seed: task.initial.to_json() for seed, task in tasks.items()}
+    mined = [{"seed": seed, "before": state, "failed": state} for seed, state in states.items()]
+    about = {"skill": "Pick", "objects": ["r", "b0"], "relevant": "b0", "causes": ["box"]}
+    write_json(folder.path / FAILURES, {**about, "states": mined, "likewise": []})
     net = ActorCritic()
     optimiser = torch.optim.Adam(net.parameters())
     (net.act(torch.zeros(1, OBSERVATION_SIZE)).sum() + net.value(torch.zeros(1, OBSERVATION_SIZE)).sum()).backward()
     optimiser.step()
     curve = {name: [64.0, 128.0] for name in ("steps", "success", "return", "seconds")}
-    ppo._save(folder.stages / "ppo.safetensors", net, optimiser, curve)
+    ppo._save(folder.path / "ppo.safetensors", net, optimiser, curve)
+    _Evidence(folder.path / EVIDENCE, SuccessModel(OBSERVATION_SIZE, 0)).write(128)
     record = library.skills[domain.recovery]
-    tensors = {k: np.ascontiguousarray(v) for k, v in record.tensors.items()}
-    save_file(tensors, folder.stages / "recovery.safetensors")
-    write_json(folder.stages / "recovery.json", {**record.meta, "after": gaussians["after"].to_json()})
-    preset = PRESETS["smoke"]
-    for i in range(-(-(preset.dreams + preset.attempts) // CHUNK)):
-        write_trajectories(folder.stages / f"dreams-{i:03d}.jsonl", attempts)
-    for stage, figures in {
-        "mine": {"tasks": 10, "failed": 9, "resampled": 16, "kept": 16, "seconds": 1.5},
-        "recovery": {"curve": curve, "steps": 128.0},
-        "check": {"worlds": 4, "picked": 3, "beta": 2},
+    save_file({k: np.ascontiguousarray(v) for k, v in record.tensors.items()}, folder.path / "recovery.safetensors")
+    write_json(
+        folder.path / "recovery.json", {**record.meta, "sees": 3, "arguments": [0, 1], "horizon": 80, "sure": 0.5}
+    )
+    write_json(folder.path / "recovered.json", {"begun": list(states.values()), "states": list(states.values())})
+    tried = Transition(tasks[1000].initial, "Pick", (R, B0), tasks[1000].initial, succeeded=False)
+    budgets = ARM_PRESETS["smoke"]
+    for i in range(-(-(budgets.dreams + budgets.attempts) // CHUNK)):
+        attempt = Trajectory((tried,), tasks[1000].goal, False, "attempt")
+        write_trajectories(folder.path / f"dreams-{i:03d}.jsonl", [attempt])
+    for step, figures in {
+        "mine": {"tasks": 10, "failed": 9, "kept": 6, "seconds": 1.5},
+        "recover": {"curve": curve, "steps": 128.0},
+        "check": {"worlds": 8, "done": 6, "mended": 6},
     }.items():
-        folder.record(stage, figures)
-    return folder
+        folder.record(step, figures)
+    return run
 
 
 def _cut(path: Path) -> None:

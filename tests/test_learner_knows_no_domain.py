@@ -19,10 +19,8 @@ OF_THE_ARM = {
     "resync_robot/learning/recovery_policy.py",
     "resync_robot/learning/camera_view.py",
     "resync_robot/learning/demonstrations.py",
-    # The arm's own walk through one stage, until it takes that of `learn_stages`.
-    "resync_robot/curriculum/stages.py",
+    # What it learns on a GPU, and by camera.
     "resync_robot/curriculum/written_reward.py",
-    "resync_robot/curriculum/stage_files.py",
     "resync_robot/curriculum/distil.py",
     "resync_robot/curriculum/model_card.py",
 }
@@ -78,7 +76,7 @@ def test_no_domain_is_named(path: Path) -> None:
 def test_a_file_that_names_one_is_found() -> None:
     """The files of the arm do; so would a learner that knew it."""
     arm = next(d for d in _domains() if d.name == "cornered-insertion-s")
-    for name in ("resync_robot/curriculum/stage_files.py", "resync_robot/learning/camera_view.py"):
+    for name in ("resync_robot/curriculum/written_reward.py", "resync_robot/learning/camera_view.py"):
         said = set(_said((ROOT / name).read_text(encoding="utf-8")))
-        assert said & (words_of(arm) | {"TYPES", "BLOCK_NAMES"}), name
+        assert said & (words_of(arm) | {"block", "BLOCK_NAMES"}), name
     assert "BLOCK" in set(_said("from x import BLOCK\n")) and "Pick" not in set(_said('"""Pick is a skill."""\n'))

@@ -8,20 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from resync_robot.core.errors import ConfigError, DiskError, TrainingError
+from resync_robot.core.errors import ConfigError, DiskError
 from resync_robot.core.files import disk_fault
 from resync_robot.given import Given
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from resync_robot.core.library import Record
     from resync_robot.core.task import Domain
     from resync_robot.curriculum.run_folder import RunFolder
     from resync_robot.curriculum.run_settings import RunSettings
-    from resync_robot.curriculum.stage_files import Mined
-    from resync_robot.learning.failures import PairGaussian
-    from resync_robot.learning.model import Concepts
 
 QUICK_MINUTES = 60
 """Of --preset quick on two cores, with the camera policy; README says the same."""
@@ -69,11 +65,6 @@ class TrainConfig:
     """camera (default): teach the recovery to see by camera as well, at the end. state: leave it at the simulator's
     state."""
 
-    reward: Given[Literal["written", "verdict"]] = None
-    """What rewards the arm's recovery. written (default): a reward for room to the walls, as the shipped library was
-    learned by. verdict: whether the failed skill then succeeds, and nothing else, as in every other domain; this has
-    not been carried through to a camera policy yet."""
-
     stages: Given[str] = None
     """The stages to learn, by number or by the name of their recovery, separated by commas. Default: all that the
     domain declares, or those that the library of --from does not know."""
@@ -117,9 +108,6 @@ def train(config: TrainConfig) -> None:
             }
         )
         given["skills"] = "state"
-    elif config.stages is not None or config.library is not None:
-        option = "--stages" if config.stages is not None else "--from"
-        raise ConfigError(f"{option} is for domains with a robot of their own so far", "leave it out")
     begun = RunSettings(**given)
     check_seed(begun.seed)
     check_range("--workers", config.workers, 1, MOST_WORKERS)
@@ -143,7 +131,7 @@ def train(config: TrainConfig) -> None:
         _quiet_threads()
         try:
             found = find_domain(settings.domain)
-            (_run if found.embodiment is None else _run_stages)(settings, config.workers, found, folder)
+            _run(settings, config.workers, found, folder)
         except KeyboardInterrupt:
             say(f"What is done is kept. Go on with:  resync-robot train-sim --resume --out {path}")
             raise
@@ -205,7 +193,7 @@ def _check_device(settings: RunSettings, folder: RunFolder) -> None:
                 f"--device cuda: its scenes are built for the simulated rig, not for '{folder.rig.name}'",
                 "use --device cpu",
             )
-        if not (folder.stages / "recovery.json").exists():
+        if not any(folder.stages.glob("*/recovery.json")):
             from resync_robot.sim_training.physics.gpu import require_gpu_physics
 
             require_gpu_physics()
@@ -232,77 +220,20 @@ def _quiet_threads() -> None:
     torch.set_num_threads(1)
 
 
-def _run(settings: RunSettings, w: int, domain: Domain, folder: RunFolder) -> None:
-    from resync_robot.console import Stages
-    from resync_robot.curriculum import stages
-    from resync_robot.curriculum.distil import PLANS, distil
-    from resync_robot.learning.concepts import learn_concepts
-    from resync_robot.learning.dataset import StageData
-
-    preset, seed = stages.PRESETS[settings.preset], settings.seed
-    names = [
-        "mine",
-        "recover",
-        "check",
-        "dream",
-        "concepts",
-        *(["distil"] if settings.skills == "camera" else []),
-        "save",
-    ]
-    with Stages(tuple(names)) as bars:
-        with folder.timed("mine"), bars.stage("mine") as progress:
-            mined = stages.mine(domain, folder, preset, seed, w, progress)
-        with folder.timed("recovery"), bars.stage("recover") as progress:
-            record, after = stages.learn_recovery(
-                domain, folder, preset, mined, seed, w, progress, settings.device, settings.reward
-            )
-        with folder.timed("check"), bars.stage("check") as progress:
-            if "worlds" not in folder.metrics.get("check", {}):
-                first = seed * stages.TRAINING_SEEDS + 400_000
-                folder.record(
-                    "check",
-                    stages.check_recovery(domain, folder.rig, mined, record, first, preset.proxy_checks, w, progress),
-                )
-        gaussians = {"before": mined.before, "after": after}
-        with folder.timed("dream"), bars.stage("dream") as progress:
-            trajectories = stages.dream_all(domain, folder, preset, record, gaussians, seed, w, progress)
-        with folder.timed("concepts"), bars.stage("concepts") as progress:
-            types = (domain.operators[0].parameters[0].type, mined.relevant.type, mined.culprit.failure_object.type)
-            data = StageData(domain.recovery, types, mined.culprit.skill, trajectories)
-            concepts = learn_concepts(
-                [data],
-                domain,
-                mode=settings.concepts,
-                seed=seed,
-                progress=lambda what, share: progress(share, what),
-            )
-            if not any(o.name == domain.recovery for o in concepts.operators):
-                raise TrainingError(
-                    f"no operator was learned for {domain.recovery}", "train with more dreams: --preset full"
-                )
-        policy = None
-        if settings.skills == "camera":
-            with folder.timed("distil"), bars.stage("distil") as progress:
-                plan = PLANS[settings.preset]
-                policy = distil(domain, folder, plan, record, gaussians, seed, w, settings.device, progress)
-        with folder.timed("save"), bars.stage("save"):
-            _save(settings, domain, folder, mined, record, gaussians, concepts, policy)
-    _report(domain, folder, concepts)
-
-
-def _run_stages(settings: RunSettings, workers: int, domain: Domain, folder: RunFolder) -> None:
+def _run(settings: RunSettings, workers: int, domain: Domain, folder: RunFolder) -> None:
     from importlib.metadata import version
 
     from resync_robot import __version__
     from resync_robot.console import Stages, say
     from resync_robot.core.library import load_library
-    from resync_robot.curriculum.learn_stages import STEPS, Curriculum, chosen_stages, learn_stages
+    from resync_robot.curriculum.learn_stages import Curriculum, chosen_stages, learn_stages
     from resync_robot.curriculum.report import report
 
     known_at = Path(settings.library) if settings.library else None
     known = load_library(known_at) if known_at is not None else None
     stages = chosen_stages(domain, settings.stages, known)
-    packages = {p: version(p) for p in ("torch", "numpy", "pyperplan")}
+    arm = domain.embodiment is None
+    packages = {p: version(p) for p in ("torch", "numpy", "pyperplan", *(("lerobot", "sapien") if arm else ()))}
     curriculum = Curriculum(
         domain=domain,
         stages=stages,
@@ -311,87 +242,15 @@ def _run_stages(settings: RunSettings, workers: int, domain: Domain, folder: Run
         workers=workers,
         concepts=settings.concepts,
         provenance={**_kept(settings, folder), "version": __version__, "packages": packages},
+        rig=folder.rig if arm else None,
         known=known,
         known_at=known_at,
+        by_camera=settings.skills == "camera",
+        device=settings.device,
     )
     first = len(known.stages) + 1 if known is not None else 1
-    names = [f"{number}-{s.recovery}/{step}" for number, s in enumerate(stages, first) for step in STEPS]
+    names = [f"{number}-{s.recovery}/{step}" for number, s in enumerate(stages, first) for step in curriculum.steps]
     with Stages(tuple(names)) as bars:
         library = learn_stages(curriculum, folder, bars.stage)
     say("\n" + report(domain, library))
     say(f"Library: {folder.library}")
-
-
-def _save(
-    settings: RunSettings,
-    domain: Domain,
-    folder: RunFolder,
-    mined: Mined,
-    record: Record,
-    gaussians: dict[str, PairGaussian],
-    concepts: Concepts,
-    policy: dict[str, bytes] | None,
-) -> None:
-    from importlib.metadata import version
-
-    from resync_robot import __version__
-    from resync_robot.core.library import LearnedFailure, LearnedStage, save_library
-    from resync_robot.curriculum.model_card import with_card
-    from resync_robot.curriculum.plots import draw_learning_curve
-    from resync_robot.library_models import make_library
-
-    metrics = folder.metrics
-    folder.record("concepts", {"report": concepts.report})
-    culprit = mined.culprit
-    cause = culprit.failure_object
-    stage = LearnedStage(
-        recovery=domain.recovery,
-        scenario=mined.scenario,
-        failure=LearnedFailure(
-            skill=culprit.skill,
-            argument=culprit.relevant_argument,
-            objects={cause.name: cause.type.name},
-            before={cause.name: gaussians["before"].to_json()},
-            after={cause.name: gaussians["after"].to_json()},
-        ),
-        figures={s: {k: v for k, v in f.items() if k not in ("curve", "report")} for s, f in metrics.items()},
-    )
-    provenance = {
-        **_kept(settings, folder),
-        "version": __version__,
-        "packages": {p: version(p) for p in ("torch", "lerobot", "sapien", "numpy", "pyperplan")},
-    }
-    library = with_card(make_library(domain, folder.rig, stage, record, concepts, provenance, policy), domain)
-    save_library(library, folder.library)
-    folder.record("save", {"content_hash": library.content_hash})
-    recovery = metrics["recovery"]
-    begins, stop_at = recovery.get("first_time_limit", 0), recovery.get("stop_at")
-    draw_learning_curve(recovery["curve"], folder.path / "recovery.png", begins, stop_at)
-
-
-def _report(domain: Domain, folder: RunFolder, concepts: Concepts) -> None:
-    from resync_robot.console import say
-    from resync_robot.planning.pddl import operator_to_pddl
-
-    m = folder.metrics
-    given = {o.name: o for o in domain.operators}
-    say(f"\nFailure: {m['mine']['failed']} of {m['mine']['tasks']} tasks failed; mined {m['mine']['kept']} more.")
-    check = m["check"]
-    say(
-        f"Recovery: learned in {m['recovery']['steps'] / 1000:.0f} k control steps; followed by a real pick in "
-        f"{check['picked']} of {check['worlds']} fresh worlds."
-    )
-    if "distil" in m:
-        chosen = next(p for p in m["distil"]["points"] if p["step"] == m["distil"]["chosen"])
-        say(f"By camera: recovered in {chosen['success']} of {chosen['worlds']} worlds of its own.")
-    learned = [p for p in concepts.predicates if p.name not in {q.name for q in domain.predicates}]
-    say(
-        "Discovered predicates: "
-        + (", ".join(f"{p.name}({', '.join(t.name for t in p.types)})" for p in learned) or "none")
-    )
-    say("Operators (those marked * are new or differ from the given model):")
-    for operator in concepts.operators:
-        mark = "  " if given.get(operator.name) == operator else "* "
-        say("\n".join(mark + line for line in operator_to_pddl(operator).splitlines()))
-    total = sum(v.get("seconds", 0.0) for v in m.values() if isinstance(v, dict))
-    say(f"Library: {folder.library} ({total / 60:.1f} min)")

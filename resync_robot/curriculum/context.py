@@ -21,12 +21,18 @@ class Context:
     domain: Domain
     embodiment: Embodiment
     model: Model
+    rig: Rig | None = None
 
     def stage(self, recovery: str) -> Stage:
-        """The stage that learns this recovery. Raises UnknownNameError."""
+        """The stage that learns this recovery, as the robot learns it. Raises UnknownNameError."""
         for stage in self.domain.stages:
-            if stage.recovery == recovery:
+            if stage.recovery != recovery:
+                continue
+            if self.domain.embodiment is not None or self.rig is None:
                 return stage
+            from resync_robot.arm_embodiment import arm_stage  # its simulator takes seconds to import
+
+            return arm_stage(stage, self.rig)
         raise UnknownNameError(f"stage of {self.domain.name}", recovery, [s.recovery for s in self.domain.stages])
 
 
@@ -58,4 +64,4 @@ class Known:
         skills = dict(model.skills)
         for name, record in self.recoveries:
             skills[name] = recovery_of(domain, rig, name, record, skills)
-        return Context(domain, embodiment_of(domain, rig), replace(model, skills=skills))
+        return Context(domain, embodiment_of(domain, rig), replace(model, skills=skills), rig)

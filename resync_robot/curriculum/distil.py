@@ -1,4 +1,4 @@
-"""The last stage of training: from the recovery that knows the exact state to one that sees three cameras.
+"""The last step of a stage of the arm: from the recovery that knows the exact state to one that sees three cameras.
 
 The teacher demonstrates in rendered scenes; the student learns from it; then, for a few rounds, the student drives
 first and the teacher goes on from wherever that leads. Of the students along the way the one that recovers most often
@@ -25,8 +25,8 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.runs import git_hash
 from resync_robot.core.task import Domain
 from resync_robot.curriculum.plots import contact_sheet, draw_distillation
-from resync_robot.curriculum.run_folder import RunFolder
-from resync_robot.curriculum.stages import TRAINING_SEEDS, Progress
+from resync_robot.curriculum.presets import TRAINING_SEEDS
+from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.camera_view import PICTURE, VIEWS, CameraPolicy, Prediction
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.learning.recovery_policy import ActorCritic
@@ -189,32 +189,32 @@ def _try(context: DistilContext, seeds: tuple[int, ...]) -> list[Trial | None]:
 
 def distil(
     domain: Domain,
-    folder: RunFolder,
+    folder: StageFolder,
     plan: DistilPlan,
     record: Record,
     gaussians: Mapping[str, PairGaussian],
     seed: int,
     workers: int,
     device: str,
-    progress: Progress,
+    progress: Tell,
 ) -> dict[str, bytes]:
     """Teach, train, try, and keep one of the best. Returns the files of the policy that a library takes in.
 
-    Resumes from what it left in the run folder: finished shards, the training's own checkpoint, finished trials.
+    Resumes from what it left in the stage's folder: finished shards, the training's own checkpoint, finished trials.
     """
-    saved = folder.stages / "distil.json"
+    saved = folder.path / "distil.json"
     points = _read_points(saved)
     shares = _Shares(plan, progress)
     shards: list[Path] = []
-    check_folder_kind(folder.stages / "demonstrations")
-    with_student = partial(make_context, domain.spec, folder.rig, record, gaussians)
+    check_folder_kind(folder.path / "demonstrations")
+    with_student = partial(make_context, domain.spec, folder.run.rig, record, gaussians)
     for turn in range(plan.rounds + 1):
         student = None if turn == 0 else _candidate(folder, shares.until[turn - 1])
         context = partial(with_student, student, plan.blind)
         shards += _demonstrations(folder, plan, turn, seed, context, workers, shares)
         until = shares.until[turn]
         if _candidate(folder, until).exists():
-            _check_candidate(_candidate(folder, until), folder.rig)
+            _check_candidate(_candidate(folder, until), folder.run.rig)
         else:
             _train(folder, plan, shards, until, seed, device, shares)
             points = [p for p in points if p["step"] != until]
@@ -263,13 +263,13 @@ def to_keep(points: Sequence[Mapping[str, int]]) -> int:
     return max(p["step"] for p, rate in zip(points, rates, strict=True) if rate >= rates[best] - error)
 
 
-def _show(folder: RunFolder, shards: list[Path], points: list[dict[str, Any]], chosen: int) -> dict[str, int]:
+def _show(folder: StageFolder, shards: list[Path], points: list[dict[str, Any]], chosen: int) -> dict[str, int]:
     """What a person wants to see of it: the dataset as one, what the cameras saw, the curves. Returns how much there
     is, as `dataset.merge_shards` does."""
-    counts = dataset.merge_shards(shards, folder.path / "dataset")
+    counts = dataset.merge_shards(shards, folder.run.path / "dataset")
     shown = dataset.moments(dataset.read_shards(shards[:: max(1, len(shards) // 6)]))
-    save_picture(folder.path / "demonstrations.png", contact_sheet(shown, VIEWS))
-    draw_distillation(_read_losses(folder.stages / "distil.csv"), points, chosen, folder.path / "distil.png")
+    save_picture(folder.run.path / "demonstrations.png", contact_sheet(shown, VIEWS))
+    draw_distillation(_read_losses(folder.path / "distil.csv"), points, chosen, folder.run.path / "distil.png")
     return counts
 
 
@@ -287,7 +287,7 @@ def _read_losses(path: Path) -> list[tuple[float, float]]:
 class _Shares:
     """Turns what is done into the share of the whole, and remembers the last success to show."""
 
-    def __init__(self, plan: DistilPlan, progress: Progress) -> None:
+    def __init__(self, plan: DistilPlan, progress: Tell) -> None:
         turns = range(plan.rounds + 1)
         self.until = [plan.steps + turn * plan.round_steps for turn in turns]
         self._progress, self._last = progress, ""
@@ -301,12 +301,12 @@ class _Shares:
         self.shown(point["step"], f"step {point['step']}")
 
 
-def _candidate(folder: RunFolder, step: int) -> Path:
-    return folder.stages / f"student-{step:06d}"
+def _candidate(folder: StageFolder, step: int) -> Path:
+    return folder.path / f"student-{step:06d}"
 
 
 def _demonstrations(
-    folder: RunFolder,
+    folder: StageFolder,
     plan: DistilPlan,
     turn: int,
     seed: int,
@@ -320,7 +320,7 @@ def _demonstrations(
     count = max(1, worlds // SHARD)
     rollout = RolloutSettings(unrecorded_noise=plan.unrecorded_noise, picture=plan.picture)
     shards = [
-        _Shard(folder.stages / "demonstrations" / f"turn-{turn}-{i:04d}", first + i * SHARD, plan.looks, rollout)
+        _Shard(folder.path / "demonstrations" / f"turn-{turn}-{i:04d}", first + i * SHARD, plan.looks, rollout)
         for i in range(count)
     ]
     todo = [s for s in shards if not s.folder.exists()]
@@ -333,7 +333,7 @@ def _demonstrations(
 
 
 def _train(
-    folder: RunFolder, plan: DistilPlan, shards: list[Path], until: int, seed: int, device: str, shares: _Shares
+    folder: StageFolder, plan: DistilPlan, shards: list[Path], until: int, seed: int, device: str, shares: _Shares
 ) -> None:
     """Train up to step `until` on all shards so far, and save the averaged student."""
     import torch
@@ -343,7 +343,7 @@ def _train(
 
     frames = dataset.read_shards(shards)
     frames = replace(frames, pictures=_blinded(frames.pictures, plan.blind))
-    checkpoint = folder.stages / "distil.safetensors"
+    checkpoint = folder.path / "distil.safetensors"
     torch.manual_seed(seed)
     first = dataset.read_shards([s for s in shards if s.name.startswith("turn-0")])
     # The statistics of the first turn stay: weights learned with them would not survive others.
@@ -356,7 +356,7 @@ def _train(
 
     def report(step: int, losses: Mapping[str, float]) -> None:
         shares.shown(step, f"step {step}, {len(frames)} frames, loss {losses['action']:.4f}")
-        with (folder.stages / "distil.csv").open("a", encoding="utf-8") as log:
+        with (folder.path / "distil.csv").open("a", encoding="utf-8") as log:
             log.write(",".join([str(step), *(f"{v:.6f}" for v in losses.values())]) + "\n")
 
     threads = torch.get_num_threads()
@@ -366,7 +366,7 @@ def _train(
         trainer.save(checkpoint)
     torch.set_num_threads(threads)
     with trainer.averaged(), whole_folder(_candidate(folder, until)) as beside:
-        student.save(beside, folder.rig)
+        student.save(beside, folder.run.rig)
 
 
 THREADS = 2

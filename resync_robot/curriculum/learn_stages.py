@@ -18,8 +18,9 @@ from resync_robot.core.trajectory import Trajectory
 from resync_robot.curriculum.context import Known
 from resync_robot.curriculum.dream import dream, earlier_dreams
 from resync_robot.curriculum.mine import Mined, mine
+from resync_robot.curriculum.model_card import with_card
 from resync_robot.curriculum.plots import draw_learning_curve
-from resync_robot.curriculum.presets import STAGE_PRESETS, StagePreset
+from resync_robot.curriculum.presets import ARM_PRESETS, STAGE_PRESETS, TRAINING_SEEDS, StagePreset
 from resync_robot.curriculum.recover import check, recover
 from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
@@ -28,10 +29,11 @@ from resync_robot.learning.dataset import StageData
 from resync_robot.learning.failures import FailureModel, PairGaussian
 from resync_robot.learning.model import Concepts
 from resync_robot.library_models import known_concepts, make_library
+from resync_robot.sim_training.ppo import PpoSettings
 
 STEPS = ("mine", "recover", "check", "dream", "discover", "save")
-TRAINING_SEEDS = 1_000_000
-"""Each training seed owns this many world seeds from seed * TRAINING_SEEDS on; evaluation draws from elsewhere."""
+DISTIL = "distil"
+"""The step before the last one, where the recovery is to see by camera."""
 STAGE_SEEDS, STEP_SEEDS = 100_000, 15_000
 """Of these each stage, and each of its steps, owns so many."""
 Watch = Callable[[str], Any]
@@ -47,6 +49,8 @@ class Curriculum:
         rig: of an arm.
         known: the library to build on, and where it lies; None to begin with the given model.
         provenance: what every library says of how it came about.
+        by_camera: teach an arm's recovery to see by camera, too.
+        device: where that is learned, and an arm's recovery.
     """
 
     domain: Domain
@@ -59,11 +63,27 @@ class Curriculum:
     rig: Rig | None = None
     known: Library | None = None
     known_at: Path | None = None
+    by_camera: bool = False
+    device: str = "cpu"
+
+    @property
+    def steps(self) -> tuple[str, ...]:
+        """Of each stage."""
+        return (*STEPS[:-1], DISTIL, STEPS[-1]) if self.by_camera else STEPS
+
+    @property
+    def on_gpu(self) -> PpoSettings | None:
+        """The budget of learning an arm's recovery there; None where it is learned in processes."""
+        if self.rig is None or self.device == "cpu":
+            return None
+        from resync_robot.curriculum.written_reward import BUDGETS  # ManiSkill takes seconds to import
+
+        return BUDGETS[self.preset]
 
     @property
     def budgets(self) -> StagePreset:
         """Those of the preset."""
-        return STAGE_PRESETS[self.preset]
+        return (STAGE_PRESETS if self.rig is None else ARM_PRESETS)[self.preset]
 
     def seeds(self, number: int, step: str) -> range:
         """The world seeds of one step of the stage of that number, from 1."""
@@ -184,7 +204,7 @@ class _Stage:
             mined = mine(domain, stage, folder, self._known, seeds, budgets.failures, workers, tell)
         with self._step("recover") as tell:
             trials = c.seeds(number, "recover")[: budgets.checks]
-            record = recover(self._known, stage, folder, budgets, mined, c.seed, trials, workers, tell)
+            record = recover(self._known, stage, folder, budgets, mined, c.seed, trials, workers, tell, c.on_gpu)
         able = self._known.with_recovery(stage.recovery, record)
         with self._step("check") as tell:
             seeds = c.seeds(number, "check")[: budgets.checks]
@@ -203,8 +223,9 @@ class _Stage:
         with self._step("discover") as tell:
             concepts = self._discover([*data, own], tell)
             folder.record("discover", {"report": concepts.report})
+        policy = self._distil(record, newest) if c.by_camera else None
         with self._step("save"):
-            return self._save(record, newest, concepts), own
+            return self._save(record, newest, concepts, policy), own
 
     @contextmanager
     def _step(self, name: str) -> Iterator[Tell]:
@@ -233,7 +254,21 @@ class _Stage:
             )
         return concepts
 
-    def _save(self, record: Record, failure: FailureModel, concepts: Concepts) -> Library:
+    def _distil(self, record: Record, failure: FailureModel) -> dict[str, bytes]:
+        """The files of the recovery's camera policy."""
+        from resync_robot.curriculum.distil import PLANS, distil  # LeRobot and a renderer, which few runs need
+
+        c = self._c
+        if c.rig is None:
+            raise ConfigError("only an arm sees by camera", "leave --skills out")
+        cause = failure.causes[0]
+        lies = {"before": failure.before[cause], "after": failure.after[cause]}
+        with self._step(DISTIL) as tell:
+            return distil(c.domain, self._folder, PLANS[c.preset], record, lies, c.seed, c.workers, c.device, tell)
+
+    def _save(
+        self, record: Record, failure: FailureModel, concepts: Concepts, policy: Mapping[str, bytes] | None
+    ) -> Library:
         c, folder, stage = self._c, self._folder, self._stage
         learned = LearnedStage(
             recovery=stage.recovery,
@@ -241,7 +276,8 @@ class _Stage:
             failure=failure.to_learned(),
             figures=folder.all_figures,
         )
-        library = make_library(c.domain, c.rig, learned, record, concepts, c.provenance, known=self._library)
+        library = make_library(c.domain, c.rig, learned, record, concepts, c.provenance, policy, self._library)
+        library = with_card(library, c.domain)
         save_library(library, folder.library)
         folder.record("save", {"content_hash": library.content_hash})
         curve, stop_at = folder.figures("recover")["curve"], c.budgets.recovery.ppo.stop_at

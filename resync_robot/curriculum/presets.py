@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from resync_robot.sim_training.learn_recovery import RecoverySettings
 from resync_robot.sim_training.ppo import PpoSettings
+
+TRAINING_SEEDS = 1_000_000
+"""Each training seed owns this many world seeds from seed * TRAINING_SEEDS on; evaluation draws from elsewhere."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,4 +45,29 @@ STAGE_PRESETS = {
     ),
     "quick": StagePreset(),
     "full": StagePreset(failures=500, checks=200, dreams=1000, attempts=2000),
+}
+
+
+def _for_an_arm(preset: StagePreset, **budgets: int) -> StagePreset:
+    """A run of an arm's skill takes as long as a hundred actions, so fewer are asked for; and it has to press a block
+    in three dimensions, which takes a larger net."""
+    r = preset.recovery
+    ppo = replace(r.ppo, std_end=PpoSettings().std_end, anneal_from=0.0, stop_at=min(r.ppo.stop_at, 0.95))
+    recovery = replace(
+        r,
+        attempts=min(r.attempts, 200),
+        judged=replace(r.judged, verdicts=0.01),
+        ppo=replace(ppo, least_steps=max(ppo.least_steps, 30_000)),
+        elsewhere=0,
+        roll_outs=min(r.roll_outs, 60),
+        width=256,
+        depth=4,
+    )
+    return replace(preset, recovery=recovery, **budgets)
+
+
+ARM_PRESETS = {
+    "smoke": _for_an_arm(STAGE_PRESETS["smoke"], failures=16, checks=8, dreams=48, attempts=96),
+    "quick": _for_an_arm(STAGE_PRESETS["quick"], checks=24, dreams=150),
+    "full": _for_an_arm(STAGE_PRESETS["full"], dreams=600),
 }

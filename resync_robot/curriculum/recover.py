@@ -22,12 +22,14 @@ from resync_robot.curriculum.mine import FAILURES, Mined, read_mined, task_of
 from resync_robot.curriculum.presets import StagePreset
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.failures import PairGaussian, changed_features, fit_beside
-from resync_robot.learning.learned_recovery import SURE, LearnedRecovery
+from resync_robot.learning.learned_recovery import FIELDS, SURE, LearnedRecovery
+from resync_robot.learning.terminals import Terminal
 from resync_robot.planning.execute import run_skill
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import Explanation
 from resync_robot.sim_training.learn_recovery import learn_recovery
 from resync_robot.sim_training.parallel import parallel_map
+from resync_robot.sim_training.ppo import PpoSettings
 from resync_robot.sim_training.recovery_problem import Problem, judge_of, pose_problem
 
 LEAST_RECOVERED = 5
@@ -54,38 +56,48 @@ def recover(
     trials: range,
     workers: int,
     tell: Tell,
+    on_gpu: PpoSettings | None = None,
 ) -> Record:
     """The record of the recovery: learned from what was mined, or read where it is there already. Resumes in between.
 
     Args:
         trials: seeds of the fresh tasks that tell how sure beta_N has to be.
+        on_gpu: an arm learns there, by a written reward, with this budget.
 
     Raises:
         TrainingError: it cannot be learned, or a file is damaged.
     """
     meta, weights = folder.path / "recovery.json", folder.path / "recovery.safetensors"
     if not (folder.figures("recover") and meta.exists() and weights.exists()):
-        pose = partial(_pose, known, stage.recovery, folder.path / FAILURES)
-        learned = learn_recovery(
-            pose(),
-            seed,
-            folder.path / "ppo.safetensors",
-            lambda steps, budget, rate: tell(steps / budget, f"success {rate:.3f} after {steps // 1000} k actions"),
-            preset.recovery,
-            workers=workers if workers > 1 else 0,
-            pose=pose,
-        )
-        record, figures = _as_sure_as_needed(known, stage, mined, learned.to_record(), trials, workers), learned.figures
+        checkpoint = folder.path / "ppo.safetensors"
+
+        def progress(steps: int, budget: int, rate: float) -> None:
+            tell(steps / budget, f"success {rate:.3f} after {steps // 1000} k actions")
+
+        if on_gpu is not None and known.rig is not None:
+            from resync_robot.curriculum.written_reward import learn_by_written_reward
+
+            record, figures = learn_by_written_reward(
+                known.rig, mined, seed, workers, checkpoint, progress, on_gpu, "cuda"
+            )
+        else:
+            pose = partial(_pose, known, stage.recovery, folder.path / FAILURES)
+            shared = workers if workers > 1 else 0
+            learned = learn_recovery(pose(), seed, checkpoint, progress, preset.recovery, workers=shared, pose=pose)
+            record, figures = learned.to_record(), learned.figures
+        record = _as_sure_as_needed(known, stage, mined, record, trials, workers)
         with whole(weights) as beside:
             save_file({k: np.ascontiguousarray(v) for k, v in record.tensors.items()}, beside)
         write_json(meta, record.meta)
         folder.record("recover", {**figures, "stop_at": preset.recovery.ppo.stop_at, "sure": record.meta["sure"]})
     with reading(meta):
         saved = read_json(meta)
-        check_shape(saved, {})
+        check_shape(saved, {**FIELDS, "failed": dict})
     with reading(weights):
         record = Record(saved, load_file(weights))
         LearnedRecovery.from_record(stage.recovery, record, {t.name: t for t in find_domain(known.domain).types})
+        detector = {k.removeprefix("failed."): v for k, v in record.tensors.items() if k.startswith("failed.")}
+        Terminal.from_record(Record(record.meta["failed"], detector))
     return record
 
 

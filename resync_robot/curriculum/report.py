@@ -35,5 +35,8 @@ def _stage(number: int, stage: LearnedStage) -> list[str]:
             f"{f['recover']['steps'] / 1000:.0f} k actions with {f['recover']['verdicts']} verdicts; "
             f"{failed} then succeeds in {f['check']['mended']} of {f['check']['worlds']} fresh tasks."
         )
+    if "distil" in f:
+        chosen = next(p for p in f["distil"]["points"] if p["step"] == f["distil"]["chosen"])
+        lines.append(f"  By camera: recovered in {chosen['success']} of {chosen['worlds']} worlds of its own.")
     seconds = sum(v.get("seconds", 0.0) for v in f.values() if isinstance(v, dict))
     return [*lines, *([f"  {seconds / 60:.1f} min"] if seconds else [])]

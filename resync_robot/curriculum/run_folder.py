@@ -24,11 +24,11 @@ LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")
 LIST: Shape = [float]
 FIGURES: dict[str, Shape] = {
     "mine": {"tasks": int, "failed": int, "kept": int},
-    "recovery": {"curve": {"steps": LIST, "success": LIST, "return": LIST, "seconds": LIST}, "steps": float},
-    "check": {"worlds": int, "picked": int},
+    "recover": {"curve": {"steps": LIST, "success": LIST, "return": LIST, "seconds": LIST}, "steps": float},
+    "check": {"worlds": int, "mended": int},
     "distil": {"points": [{"step": int, "worlds": int, "success": int}], "chosen": int},
 }
-"""What stages leave in metrics.json beside the seconds that they took, and what others rely on."""
+"""What the steps of a stage leave in metrics.json beside the seconds that they took, and what others rely on."""
 
 
 class RunFolder:
@@ -108,7 +108,8 @@ class RunFolder:
             found = read_json(path) if path.exists() else {}
             check_shape(found, {})
             for stage, figures in found.items():
-                check_shape(figures, FIGURES.get(stage, {}) if _any_figures(figures) else {}, stage)
+                step = stage.rpartition("/")[2]
+                check_shape(figures, FIGURES.get(step, {}) if _any_figures(figures) else {}, stage)
                 check_shape(figures.get("seconds", 0.0), float, f"{stage}.seconds")
         return dict(found)
 

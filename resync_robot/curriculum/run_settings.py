@@ -24,13 +24,12 @@ class RunSettings:
     device: Literal["cpu", "cuda"] = "cpu"
     concepts: Literal["default", "paper"] = "default"
     skills: Literal["camera", "state"] = "camera"
-    reward: Literal["written", "verdict"] = "written"
     stages: str = ""
     library: str = ""
 
 
 SHAPING = tuple(f.name for f in fields(RunSettings))
-ADDED = ("reward", "stages", "library")
+ADDED = ("stages", "library")
 """Settings that runs of earlier versions did not keep."""
 OPTIONS = {"library": "from"}
 """What a setting is called on the command line, where that is not its own name."""

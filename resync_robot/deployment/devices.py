@@ -17,7 +17,6 @@ from resync_robot.core.task import Task
 from resync_robot.hardware.base import Camera
 from resync_robot.hardware.devices import Devices, films
 from resync_robot.hardware.sim import SimCamera, SimRobot
-from resync_robot.sim_training.mine import is_at_rest
 from resync_robot.sim_training.physics.camera_noise import NoisySensor, Tone
 from resync_robot.sim_training.physics.motion_blur import Motion, camera_motion
 from resync_robot.sim_training.physics.noisy_camera import NoisyCamera
@@ -51,7 +50,7 @@ class _Simulated(AbstractContextManager[SimulatedDevices]):
 
     def __enter__(self) -> SimulatedDevices:
         world = SimWorld(self._task, self._rig, rendered=True)
-        if not is_at_rest(world):
+        if not world.settles():
             raise ConfigError(f"the scene of seed {self._task.seed} does not stand still", "take another --seed")
         robot = self._stack.enter_context(SimRobot(world))
         cameras: dict[str, Camera] = {}

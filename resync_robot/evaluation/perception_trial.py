@@ -25,7 +25,6 @@ from resync_robot.perception.objects import SceneEstimate, SceneEstimator
 from resync_robot.perception.pose import yaw_variance_of
 from resync_robot.perception.scan import Scan
 from resync_robot.sim_training.domains.cornered_insertion_s.layouts import THE_BOX, R
-from resync_robot.sim_training.mine import is_at_rest
 from resync_robot.sim_training.physics.camera_noise import NoisySensor, Tone
 from resync_robot.sim_training.physics.randomise import LOOKS
 from resync_robot.sim_training.physics.world import SimWorld
@@ -113,7 +112,7 @@ def run_scene(rig: Rig, job: tuple[int, int, str]) -> SceneRow:
     for attempt in range(20):
         drawn = draw_scene(seed, index + MOST_EPISODES * attempt, LOOKS[looks])
         world = SimWorld(drawn.task, rig, rendered=True)
-        if is_at_rest(world):
+        if world.settles():
             break
     sensor = NoisySensor(index + 1000 * seed, rig.camera("wrist"), tone=Tone.of(drawn.task.physics))
     trial = _Trial(rig, drawn, world, sensor)

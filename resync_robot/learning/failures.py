@@ -1,8 +1,7 @@
-"""Failures as data: who caused them, and the Gaussians of relative poses that new failures are drawn from."""
+"""Failures as data: the Gaussians of relative poses that new failures are drawn from."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,68 +15,6 @@ from resync_robot.core.relations import Relation, between
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object, Type
 from resync_robot.core.task import Domain
-
-CONTACT_THRESHOLD_N = 20.0
-"""Peak force on the hand above which an object counts as having caused a failure; a touch stays far below it."""
-
-
-@dataclass(frozen=True)
-class Failure:
-    """One failed attempt of a given skill.
-
-    Attributes:
-        state: just before the attempt (x^F).
-        skill, objects: the ground skill that failed (C^F).
-        contacts: peak force in N between the hand and each object during the attempt.
-    """
-
-    state: State
-    skill: str
-    objects: tuple[Object, ...]
-    contacts: Mapping[Object, float]
-
-
-@dataclass(frozen=True)
-class Culprit:
-    """What the failures have in common: C^F, o^F and the position of o^R among the skill's arguments."""
-
-    skill: str
-    failure_object: Object
-    relevant_argument: int
-
-
-def find_culprit(failures: Sequence[Failure], ignored: frozenset[Object]) -> Culprit:
-    """The failed skill and the object that hindered it, by contact force.
-
-    Args:
-        ignored: objects that no one can be hindered by, such as the robot.
-
-    Raises:
-        TrainingError: nothing was touched hard enough in any failure.
-    """
-    blamed: Counter[tuple[str, Object]] = Counter()
-    for failure in failures:
-        for obj, force in failure.contacts.items():
-            # A skill touches what it handles; only what it did not mean to touch can hinder it.
-            if force > CONTACT_THRESHOLD_N and obj not in ignored and obj not in failure.objects:
-                blamed[failure.skill, obj] += 1
-    if not blamed:
-        raise TrainingError(
-            f"none of {len(failures)} failures has a contact above {CONTACT_THRESHOLD_N:.0f} N to explain it",
-            "train on a scenario whose failure comes from a collision",
-        )
-    (skill, obj), _ = blamed.most_common(1)[0]
-    example = next(f for f in failures if f.skill == skill and obj in f.contacts)
-    arguments = [i for i, o in enumerate(example.objects) if o not in ignored]
-    nearest = min(arguments, key=lambda i: _apart(example.state, example.objects[i], obj), default=0)
-    return Culprit(skill, obj, nearest)
-
-
-def _apart(state: State, a: Object, b: Object) -> float:
-    """m in the plane; objects without a place are infinitely far away."""
-    if a.type.pose is None or b.type.pose is None:
-        return float("inf")
-    return float(np.linalg.norm(state[a][:2] - state[b][:2]))
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,6 @@ from resync_robot.hardware.emulator.gripper import EmulatedGripper
 from resync_robot.hardware.emulator.lab_client import MAX_LINE, PORT
 from resync_robot.hardware.emulator.server import Emulator
 from resync_robot.sim_training.domains import find_domain, world_task
-from resync_robot.sim_training.mine import is_at_rest
 from resync_robot.sim_training.physics.world import SimWorld
 from resync_robot.sim_training.scenes.calibration import Bench, displaced
 
@@ -109,7 +108,7 @@ class Lab:
 
     def _lay_out(self, task: Task) -> None:
         self._task, self.world = task, SimWorld(task, self.rig)
-        if not is_at_rest(self.world):
+        if not self.world.settles():
             raise ConfigError(f"the scene of seed {task.seed} does not stand still", "take another --seed")
         self.controller.install(SimulatedArm(self.world))
         self.gripper.lay_open(self.controller.opening)

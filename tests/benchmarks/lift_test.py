@@ -21,7 +21,6 @@ from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.library_models import initial_model
 from resync_robot.planning.execute import run_skill
 from resync_robot.sim_training.domains import find_domain
-from resync_robot.sim_training.mine import is_at_rest
 from resync_robot.sim_training.physics.solver import REFERENCE, SHIPPED, Solver, with_solver
 from resync_robot.sim_training.physics.world import SimWorld
 from tests.benchmarks.drag_test import read
@@ -48,7 +47,7 @@ def is_lifted_whole(task: Task, solver: Solver) -> bool:
     """Whether both blocks come up when the lower one is picked."""
     domain, rig = find_domain("cornered-insertion-s"), load_rig()
     world = SimWorld(with_solver(task, solver), rig)
-    is_at_rest(world)
+    world.settles()
     before = world.perceive()
     run_skill(world, initial_model(domain, rig).skill("Pick").ground((before.of_type(ROBOT)[0], LOWER)))
     after = world.perceive()

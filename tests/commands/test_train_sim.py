@@ -83,7 +83,7 @@ def test_gpu_physics_is_missed_before_anything_is_mined(monkeypatch: pytest.Monk
     monkeypatch.setattr(gpu, "require_gpu_physics", missed)
     with pytest.raises(TrainingError, match="no GPU physics"):
         train_sim.train(TrainConfig(device="cuda", skills="state", out=tmp_path / "run"))
-    assert not (tmp_path / "run" / "stages" / "mining.jsonl").exists()
+    assert not list((tmp_path / "run" / "stages").iterdir())
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -169,6 +169,7 @@ def test_a_folder_has_one_run_at_a_time_and_a_refused_one_changes_nothing(
 
 # -- whole runs -------------------------------------------------------------------------------------------------------
 
+STAGE = "1-Recover"
 SMOKE = (sys.executable, "-m", "resync_robot", "train-sim", "--preset", "smoke", "--seed", "0")
 
 
@@ -200,9 +201,8 @@ def whole(out: Path) -> str:
     model = learned_model(domain, load_rig(), library)
     assert domain.recovery in {o.name for o in model.operators}
     assert (out / "recovery.png").stat().st_size > 1000
-    assert {"mine", "recovery", "check", "dream", "concepts", "save"} <= set(
-        json.loads((out / "metrics.json").read_text())
-    )
+    figures = json.loads((out / "metrics.json").read_text())
+    assert {f"{STAGE}/{step}" for step in (*STEPS, "distil")} <= set(figures)
     return library.content_hash
 
 
@@ -218,14 +218,15 @@ def test_a_run_killed_in_every_phase_is_resumed_to_a_whole_library(tmp_path: Pat
     out = tmp_path / "run"
     moments = [
         ("config.json", 4.0),  # mining
-        ("stages/failures.json", 6.0),  # recovery, before its first checkpoint
-        ("stages/ppo.safetensors", 2.0),  # recovery, after it
-        ("stages/recovery.json", 1.0),  # the check
-        ("stages/dreams-000.jsonl", 0.5),  # dreaming
-        ("stages/dreams-001.jsonl", 3.0),  # concepts
-        ("stages/demonstrations/turn-0-0000", 0.5),  # between demonstrations and training
-        ("stages/distil.safetensors", 0.2),  # while the student is tried
-        ("stages/demonstrations/turn-1-0000.part", 1.0),  # in the midst of a shard
+        (f"stages/{STAGE}/failures.json", 6.0),  # recovery, before its first checkpoint
+        (f"stages/{STAGE}/ppo.safetensors", 2.0),  # recovery, after it
+        (f"stages/{STAGE}/attempts.safetensors", 3.0),  # between policy and record
+        (f"stages/{STAGE}/recovery.json", 1.0),  # the check
+        (f"stages/{STAGE}/recovered.json", 0.5),  # dreaming
+        (f"stages/{STAGE}/dreams-000.jsonl", 3.0),  # concepts
+        (f"stages/{STAGE}/demonstrations/turn-0-0000", 0.5),  # between demonstrations and training
+        (f"stages/{STAGE}/distil.safetensors", 0.2),  # while the student is tried
+        (f"stages/{STAGE}/demonstrations/turn-1-0000.part", 1.0),  # in the midst of a shard
     ]
     for i, (file, after) in enumerate(moments):
         code = run_smoke(out, *(["--resume"] if i else []), kill_when=file, after=after)

@@ -19,6 +19,7 @@ from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.curriculum.distil import DistilPlan, _check_candidate, distil, to_keep
 from resync_robot.curriculum.run_folder import RunFolder
+from resync_robot.curriculum.stage_folder import StageFolder
 from resync_robot.learning.camera_view import GAPS, PICTURE, state_seen
 from resync_robot.library_models import shipped_library
 from resync_robot.sim_training.demonstrations.dataset import STAMP
@@ -29,6 +30,7 @@ from tests.curriculum.test_resume import ReachedError
 from tests.libraries import gaussians_of
 from tests.run_folders import DAMAGES, copy_of, files_of
 
+STAGE = "stages/1-Recover"
 TINY = DistilPlan(worlds=16, rounds=1, round_worlds=16, steps=6, round_steps=3, trials=4, batch=8)
 
 
@@ -41,7 +43,8 @@ def run(folder: Path) -> dict[str, bytes]:
     library = load_library(shipped_library(domain.name))
     gaussians = gaussians_of(library)
     record = library.skills[domain.recovery]
-    return distil(domain, RunFolder(folder), TINY, record, gaussians, 0, 1, "cpu", lambda share, words: None)
+    stage = StageFolder(RunFolder(folder), 1, domain.recovery)
+    return distil(domain, stage, TINY, record, gaussians, 0, 1, "cpu", lambda share, words: None)
 
 
 @pytest.mark.slow
@@ -70,10 +73,10 @@ def test_a_damaged_file_of_this_stage_is_one_message_and_can_be_removed(
     run(tmp_path / "run")
     students = [f"student-{step:06d}" for step in (TINY.steps, TINY.steps + TINY.round_steps)]
     names = {n for n in files_of(tmp_path / "run") if n.parts[0] == "stages"}
-    files = [Path("stages", n) for n in ("distil.csv", "distil.json", "distil.safetensors")]
-    shards = [Path("stages", "demonstrations", f"turn-{i}-0000", STAMP) for i in range(2)]
+    files = [Path(STAGE, n) for n in ("distil.csv", "distil.json", "distil.safetensors")]
+    shards = [Path(STAGE, "demonstrations", f"turn-{i}-0000", STAMP) for i in range(2)]
     # Every file of a shard, and of a student, has a test of its own.
-    inside = {n for n in names if n.parts[1] in students or n.parent in {s.parent for s in shards} or len(n.parts) > 4}
+    inside = {n for n in names if n.parts[2] in students or n.parent in {s.parent for s in shards} or len(n.parts) > 5}
     assert names - inside == set(files)
     assert set(shards) < names
 
@@ -102,7 +105,7 @@ def test_a_damaged_file_of_this_stage_is_one_message_and_can_be_removed(
             folder = copy_of(tmp_path / "run", tmp_path / "copy")
             if name.suffix != ".csv" and name.name != "distil.json":
                 # It is read where the training is not finished.
-                shutil.rmtree(folder / "stages" / students[-1])
+                shutil.rmtree(folder / STAGE / students[-1])
             before = (folder / name).read_bytes()
             spoil(folder / name)
             if not (folder / name).is_file() or (folder / name).read_bytes() != before:

@@ -16,8 +16,8 @@ import pytest
 from resync_robot import cli
 from resync_robot.core.damage import AGAIN
 from resync_robot.core.rig import load_rig
-from resync_robot.curriculum import stages
-from resync_robot.sim_training import block_recovery
+from resync_robot.curriculum import dream, learn_stages, mine, recover
+from resync_robot.sim_training import learn_recovery
 from tests.curriculum.test_run_folder import other_rig
 from tests.run_folders import DAMAGES, copy_of, files_of, make_run
 
@@ -44,25 +44,29 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def idle(monkeypatch: pytest.MonkeyPatch) -> None:
     """All that takes long raises instead."""
-    monkeypatch.setattr(stages, "parallel_map", work_on)
-    monkeypatch.setattr(block_recovery, "_make_scenes", work)
-    monkeypatch.setattr("resync_robot.learning.concepts.learn_concepts", work)
+    for step in (mine, recover, dream):
+        monkeypatch.setattr(step, "parallel_map", work_on)
+    monkeypatch.setattr(learn_recovery, "_opened", work)
+    monkeypatch.setattr(learn_stages, "learn_concepts", work)
 
 
 def resume(folder: Path, *more: str) -> int:
     return cli.main(["train-sim", "--resume", "--out", str(folder), *more])
 
 
+STAGE = "stages/1-Recover"
 STAGE_FILES = (
     "metrics.json",
-    "stages/dreams-000.jsonl",
-    "stages/dreams-001.jsonl",
-    "stages/failures.json",
-    "stages/mining.jsonl",
-    "stages/ppo.safetensors",
-    "stages/recovery.json",
-    "stages/recovery.safetensors",
+    f"{STAGE}/attempts.safetensors",
+    f"{STAGE}/dreams-000.jsonl",
+    f"{STAGE}/failures.json",
+    f"{STAGE}/ppo.safetensors",
+    f"{STAGE}/recovered.json",
+    f"{STAGE}/recovery.json",
+    f"{STAGE}/recovery.safetensors",
 )
+LEARNING = (f"{STAGE}/attempts.safetensors", f"{STAGE}/ppo.safetensors")
+"""What is read only where the recovery is not finished."""
 
 
 def test_these_are_all_files_of_a_run(run: Path) -> None:
@@ -106,9 +110,8 @@ def test_a_damaged_stage_file_is_one_message_and_can_be_removed(
     if how == "unreadable" and os.geteuid() == 0:
         pytest.skip("root reads everything")
     folder = copy_of(run, tmp_path / "copy")
-    if name == "stages/ppo.safetensors":
-        # It is read only where the recovery is not finished.
-        (folder / "stages" / "recovery.json").unlink()
+    if name in LEARNING:
+        (folder / STAGE / "recovery.json").unlink()
     if name == "metrics.json" and how in ("an empty object",):
         pytest.skip("a run without figures, as after its removal")
     check_damage(folder, name, how, lambda: resume(folder), capsys)
@@ -132,8 +135,8 @@ def test_the_files_of_a_real_run_are_these_and_so_is_their_damage(
             if (how == "unreadable" and os.geteuid() == 0) or (name, how) == ("metrics.json", "an empty object"):
                 continue
             folder = copy_of(real, tmp_path / "copy")
-            if name == "stages/ppo.safetensors":
-                (folder / "stages" / "recovery.json").unlink()
+            if name in LEARNING:
+                (folder / STAGE / "recovery.json").unlink()
             check_damage(folder, name, how, partial(resume, folder), capsys)
             shutil.rmtree(folder)
 
@@ -272,7 +275,7 @@ def test_a_run_whose_rig_was_lost_asks_for_it_and_goes_on_with_it(
 
 def test_what_a_killed_run_was_writing_is_swept_away(run: Path, tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run")
-    for name in (".config.json.0123abcd.part", "stages/.mining.jsonl.0123abcd.part", "mine.part", ".part"):
+    for name in (".config.json.0123abcd.part", "stages/.failures.json.0123abcd.part", "mine.part", ".part"):
         (folder.path / name).touch()
     folder.sweep()
     assert sorted(p.name for p in folder.path.rglob("*.part")) == [".part", "mine.part"]

@@ -7,16 +7,10 @@ import pytest
 
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.relations import between
-from resync_robot.core.state import State
 from resync_robot.core.symbols import SE2, Type
 from resync_robot.learning.failures import (
-    CONTACT_THRESHOLD_N,
-    Failure,
     PairGaussian,
-    find_culprit,
 )
-from tests import scenes
-from tests.scenes import B0, B1, THE_BOX, R
 
 RESOLUTION = (5e-4, 5e-4, 1e-2, 1e-2)
 
@@ -84,56 +78,3 @@ def test_a_gaussian_of_other_columns_is_refused() -> None:
 def test_two_failures_make_no_gaussian() -> None:
     with pytest.raises(TrainingError, match="three"):
         PairGaussian.fit([np.zeros(4)] * 2, RESOLUTION)
-
-
-STATE = scenes.scene({"b0": (0.119, 0.119), "b1": (0.0, 0.0)}).initial
-HARD, SOFT = CONTACT_THRESHOLD_N + 1, CONTACT_THRESHOLD_N - 1
-
-
-def failure(skill: str = "Pick", objects: tuple = (R, B0), **contacts: float) -> Failure:
-    named = {o.name: o for o in STATE}
-    return Failure(STATE, skill, objects, {named[n]: f for n, f in contacts.items()})
-
-
-def test_the_culprit_is_what_was_hit_most_often() -> None:
-    failures = [failure(box=HARD, b1=HARD), failure(box=HARD), failure(b1=SOFT)]
-    culprit = find_culprit(failures, frozenset({R}))
-    assert (culprit.skill, culprit.failure_object, culprit.relevant_argument) == ("Pick", THE_BOX, 1)
-
-
-def test_what_the_skill_handles_is_not_to_blame_however_hard_it_was_pressed() -> None:
-    failures = [failure("Insert", (R, B1, B0), b0=500.0, b1=500.0, box=HARD)]
-    culprit = find_culprit(failures, frozenset({R}))
-    assert culprit.failure_object == THE_BOX
-    # Neither block is cornered by being an argument: the one nearer to the culprit is the relevant one.
-    assert culprit.relevant_argument in (1, 2)
-
-
-def test_the_relevant_object_is_the_argument_nearest_to_the_culprit() -> None:
-    far, near = scenes.scene({"b0": (0.12, 0.12), "b1": (0.02, 0.0)}).initial, (R, B0, B1)
-    culprit = find_culprit([Failure(far, "Insert", near, {THE_BOX: HARD})], frozenset({R}))
-    assert culprit.relevant_argument == 2
-
-
-def test_the_nearest_argument_is_found_in_the_plane_and_may_have_no_place() -> None:
-    car, puck, timer = Type("car", SE2, pose=SE2, exact=True), Type("puck", SE2, pose=SE2), Type("timer", ("left",))
-    objects = (car("c"), timer("t"), puck("far"), puck("near"))
-    state = State(
-        {
-            car("c"): np.zeros(3),
-            timer("t"): np.zeros(1),
-            puck("far"): np.array([2.0, 0.0, 0.0]),
-            puck("near"): np.array([0.9, 0.0, 0.0]),
-            puck("wall"): np.array([1.0, 0.0, 3.0]),
-        }
-    )
-    culprit = find_culprit([Failure(state, "Push", objects, {puck("wall"): HARD})], frozenset({car("c")}))
-    assert culprit.relevant_argument == 3
-    culprit = find_culprit([Failure(state, "Push", objects, {timer("late"): HARD})], frozenset({car("c")}))
-    assert culprit.relevant_argument == 1, "nothing is nearer to what has no place; the robot is never meant"
-
-
-@pytest.mark.parametrize("contacts", [{}, {"box": SOFT}, {"b0": HARD}, {"r": HARD}])
-def test_failures_that_no_contact_explains_are_an_error(contacts: dict[str, float]) -> None:
-    with pytest.raises(TrainingError, match="1 failures"):
-        find_culprit([failure(**contacts)], frozenset({R}))

@@ -12,12 +12,12 @@ from resync_robot.core.relations import seen
 from resync_robot.core.rig import load_rig
 from resync_robot.core.task import Domain
 from resync_robot.core.vocabulary import BLOCK
-from resync_robot.curriculum.arm_recovery import arm_problem
-from resync_robot.curriculum.stage_files import Mined
-from resync_robot.learning.failures import Culprit, PairGaussian
+from resync_robot.curriculum.context import Known
+from resync_robot.curriculum.mine import task_of
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.domains.cornered_insertion_s.corner import RELATIONS
-from resync_robot.sim_training.recovery_problem import Problem
+from resync_robot.sim_training.failure_mining import Explanation
+from resync_robot.sim_training.recovery_problem import Problem, Start, pose_problem
 from tests.scenes import B0, THE_BOX, R
 
 DOMAIN = find_domain("cornered-insertion-s")
@@ -25,9 +25,12 @@ DOMAIN = find_domain("cornered-insertion-s")
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    before = PairGaussian(np.array([0.0015, 0.0025, 1.0, 0.0]), np.diag([1e-7, 1e-7, 1e-4, 1e-4]))
-    mined = Mined(Culprit("Pick", THE_BOX, 1), B0, before, (1000, 1001, 1002), "s0")
-    return arm_problem(DOMAIN.spec, load_rig(), mined)
+    context = Known(domain=DOMAIN.spec, rig=load_rig()).open()
+    stage = context.stage("Recover")
+    tasks = [task_of(DOMAIN, stage, seed) for seed in (1000, 1001, 1002)]
+    explanation = Explanation("Pick", (R, B0), B0, (THE_BOX,))
+    starts = [Start(task, task.initial) for task in tasks]
+    return pose_problem(DOMAIN, context.embodiment, stage, context.model, explanation, starts)
 
 
 def test_it_is_about_the_robot_the_block_and_the_box(problem: Problem) -> None:
@@ -40,7 +43,7 @@ def test_it_is_about_the_robot_the_block_and_the_box(problem: Problem) -> None:
 def test_the_domain_says_of_its_stage_nothing_but_where_it_fails() -> None:
     """Neither success nor reward: what recovered means, only Pick says."""
     stage = DOMAIN.stages[0]
-    assert replace(arm_stage(DOMAIN, load_rig()), interface=None) == stage
+    assert replace(arm_stage(stage, load_rig()), interface=None) == stage
     assert {name for name in vars(stage) if name not in ("recovery", "scenario", "horizon", "interface")} == set()
     assert not {name for name in vars(Domain) if name in ("success", "reward", "potential", "is_recovered")}
 
