@@ -22,7 +22,7 @@ from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.relational_view import RelationalView
 from resync_robot.learning.terminals import Terminal
 
-FIELDS: Shape = {
+FIELDS: Mapping[str, Shape] = {
     "signature": [str],
     "sees": int,
     "failed_skill": str,

@@ -21,6 +21,7 @@ from resync_robot.core.intervals import wilson
 from resync_robot.core.library import load_library
 from resync_robot.curriculum.distil import SHARD, DistilPlan, distil, make_context
 from resync_robot.curriculum.run_folder import RunFolder
+from resync_robot.curriculum.stage_folder import StageFolder
 from resync_robot.sim_training.demonstrations.rollouts import try_student
 from resync_robot.sim_training.demonstrations.starts import draw_start
 from resync_robot.sim_training.domains import find_domain
@@ -78,13 +79,13 @@ def main() -> None:
     gaussians = gaussians_of(library)
     for name in args.variants:
         _take_over_demonstrations(name, args.out)
-        plan, folder = VARIANTS[name], RunFolder(args.out / name)
+        plan, folder = VARIANTS[name], StageFolder(RunFolder(args.out / name), 1, domain.recovery)
         files = distil(domain, folder, plan, record, gaussians, 0, args.workers, "cpu", lambda *_: None)
         result: dict[str, object] = {"variant": name}
         with TemporaryDirectory() as student:
             for file, data in files.items():
                 (Path(student) / file).write_bytes(data)
-            context = partial(make_context, domain.spec, folder.rig, record, gaussians, Path(student), plan.blind)
+            context = partial(make_context, domain.spec, folder.run.rig, record, gaussians, Path(student), plan.blind)
             for looks in ("usual", "unseen"):
                 jobs = [(looks, FRESH + i) for i in range(0, args.worlds, BATCH)]
                 found = [t for trials in parallel_map(_try, jobs, context, args.workers) for t in trials]

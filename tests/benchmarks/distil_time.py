@@ -20,6 +20,7 @@ from pathlib import Path
 from resync_robot.core.library import load_library
 from resync_robot.curriculum.distil import PLANS, distil
 from resync_robot.curriculum.run_folder import RunFolder
+from resync_robot.curriculum.stage_folder import StageFolder
 from resync_robot.sim_training.domains import find_domain
 from tests.libraries import gaussians_of
 
@@ -53,7 +54,7 @@ def main() -> None:
     domain = find_domain(library.domain)
     gaussians = gaussians_of(library)
     plan = LARGE if args.plan == "large" else PLANS[args.plan]
-    folder, clock = RunFolder(args.out), _Clock()
+    folder, clock = StageFolder(RunFolder(args.out), 1, domain.recovery), _Clock()
     distil(domain, folder, plan, library.skills[domain.recovery], gaussians, 0, args.workers, args.device, clock)
     worlds, steps = plan.worlds + plan.rounds * plan.round_worlds, plan.steps + plan.rounds * plan.round_steps
     seconds = {kind: round(value, 1) for kind, value in clock.seconds.items()}
@@ -62,7 +63,7 @@ def main() -> None:
         "steps/s": round(steps / clock.seconds["training"], 2),
         "trials/s": round((plan.rounds + 1) * plan.trials / clock.seconds["trials"], 2),
     }
-    points = json.loads((folder.stages / "distil.json").read_text("utf-8"))
+    points = json.loads((folder.path / "distil.json").read_text("utf-8"))
     print(json.dumps({"plan": args.plan, "device": args.device, "workers": args.workers, **seconds, **rates}))
     print(json.dumps(points))
 

@@ -20,6 +20,7 @@ from resync_robot.core.errors import ConfigError, TrainingError
 from resync_robot.core.library import load_library
 from resync_robot.core.lock import LOCK, sole_writer
 from resync_robot.core.rig import load_rig
+from resync_robot.curriculum.learn_stages import STEPS
 from resync_robot.curriculum.run_settings import SHAPING, RunSettings
 from resync_robot.library_models import learned_model
 from resync_robot.sim_training.domains import find_domain
