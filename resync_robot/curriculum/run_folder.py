@@ -16,7 +16,7 @@ from resync_robot.core.files import check_folder, read_json, write_bytes, write_
 from resync_robot.core.rig import Rig, load_rig
 
 RIG_FILE = "rig.toml"
-FILES = ("config.json", "metrics.json", RIG_FILE, "recovery.png", "demonstrations.png", "distil.png")
+FILES = ("config.json", "metrics.json", RIG_FILE, "demonstrations.png", "distil.png")
 FOLDERS = ("stages", "library", "dataset")
 """What lies in a run folder."""
 LEFTOVER = re.compile(r"\..+\.[0-9a-f]{8}\.part")

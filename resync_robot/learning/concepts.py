@@ -71,7 +71,8 @@ class ConceptConfig:
         if mode == "default":
             return ConceptConfig()
         if mode == "paper":
-            return ConceptConfig(mode="paper", fit=PAPER, operators=OperatorConfig(use_failures=False), select=PAPER_J)
+            operators = OperatorConfig(use_failures=False, least_cluster=1.0)
+            return ConceptConfig(mode="paper", fit=PAPER, operators=operators, select=PAPER_J)
         raise UnknownNameError("formulation of concept learning", mode, ["default", "paper"])
 
 

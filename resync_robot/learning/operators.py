@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
+from jaxtyping import Bool, Int8
 
 from resync_robot.core.symbols import Atom, Atoms, Operator, Predicate, Term, Variable
 from resync_robot.learning.dataset import Dataset, Step
@@ -22,12 +22,15 @@ class OperatorConfig:
         excludes_failures: default view only: a learned one must also rule out more than this share of the skill's
             failures in the data of one stage that are not ruled out already,
         excludes_successes: and less than this share of its successes.
+        least_cluster: the effects are those of a cluster that holds at least this share of the successes, or else of
+            the largest; 1: of the largest in any case.
         use_failures: False for the published formulation, which has no failed attempts.
     """
 
     held_before: float = 0.8
     excludes_failures: float = 0.5
     excludes_successes: float = 0.15
+    least_cluster: float = 0.1
     use_failures: bool = True
 
 
@@ -144,19 +147,22 @@ def learn_operator(
 ) -> Operator | None:
     """The operator of one skill, or None where the skill never succeeded.
 
-    Effects are those of the largest cluster of successes with the same lifted effects, preconditions what held
-    before most of that cluster.
+    Effects are those of a cluster of successes with the same lifted effects, preconditions what held before most of
+    that cluster. Of clusters that are no handful it is the one whose effects explain most successes: what held already
+    is achieved as well.
     """
     if not columns or not len(columns[0].before):
         return None
     before = np.stack([c.before for c in columns], 1)
     after = np.stack([c.after for c in columns], 1)
-    change = after.astype(int) - before.astype(int)
-    clusters = Counter(map(bytes, change.astype(np.int8)))
-    # Ties go to the smaller pattern in byte order, so that the order of the data decides nothing.
-    common = min(clusters, key=lambda pattern: (-clusters[pattern], pattern))
-    matching = np.array([bytes(row) == common for row in change.astype(np.int8)])
-    effect = np.frombuffer(common, dtype=np.int8)
+    change = after.astype(np.int8) - before.astype(np.int8)
+    patterns, of, counts = np.unique(change, axis=0, return_inverse=True, return_counts=True)
+    # One that a few show by chance would explain all others before which its effects held.
+    common = np.flatnonzero(counts >= min(config.least_cluster * len(change), counts.max()))
+    explained = [int(_explains(patterns[i], change, after).sum()) for i in common]
+    # Ties go to the larger cluster, then to the smaller pattern, so that the order of the data decides nothing.
+    best = max(range(len(common)), key=lambda k: (explained[k], counts[common[k]], -k))
+    matching, effect = of.reshape(-1) == common[best], patterns[common[best]]
 
     frequent = [c for c in columns if c.before[matching].mean() >= config.held_before]
     needed = {c.atom for c in frequent if not c.learned}
@@ -169,6 +175,13 @@ def learn_operator(
         frozenset(c.atom for c, e in zip(columns, effect, strict=True) if e > 0),
         frozenset(c.atom for c, e in zip(columns, effect, strict=True) if e < 0),
     )
+
+
+def _explains(
+    pattern: Int8[np.ndarray, " k"], change: Int8[np.ndarray, "n k"], after: Bool[np.ndarray, "n k"]
+) -> Bool[np.ndarray, " n"]:
+    """The successes that a skill with these effects can have had."""
+    return np.all(np.where(pattern > 0, after, np.where(pattern < 0, ~after, change == 0)), axis=1)
 
 
 def _that_exclude_failures(columns: Sequence[Column], config: OperatorConfig) -> set[Atom]:

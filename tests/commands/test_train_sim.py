@@ -201,7 +201,7 @@ def whole(out: Path) -> str:
     domain = find_domain(DOMAIN)
     model = learned_model(domain, load_rig(), library)
     assert domain.recovery in {o.name for o in model.operators}
-    assert (out / "recovery.png").stat().st_size > 1000
+    assert (out / "stages" / STAGE / "recovery.png").stat().st_size > 1000
     figures = json.loads((out / "metrics.json").read_text())
     assert {f"{STAGE}/{step}" for step in (*STEPS, "distil")} <= set(figures)
     return library.content_hash

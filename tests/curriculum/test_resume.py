@@ -65,12 +65,14 @@ STAGE_FILES = (
     f"{STAGE}/recovery.json",
     f"{STAGE}/recovery.safetensors",
 )
+MORE_DREAMS = tuple(f"{STAGE}/dreams-{i:03d}.jsonl" for i in range(1, 4))
+"""As the first file of them."""
 LEARNING = (f"{STAGE}/attempts.safetensors", f"{STAGE}/ppo.safetensors")
 """What is read only where the recovery is not finished."""
 
 
 def test_these_are_all_files_of_a_run(run: Path) -> None:
-    assert {str(p) for p in files_of(run)} == {"config.json", *STAGE_FILES}
+    assert {str(p) for p in files_of(run)} == {"config.json", *STAGE_FILES, *MORE_DREAMS}
 
 
 @pytest.mark.usefixtures("idle")
@@ -126,9 +128,9 @@ def test_the_files_of_a_real_run_are_these_and_so_is_their_damage(
     command = ["train-sim", "--preset", "smoke", "--skills", "state", "--out", str(real)]
     assert subprocess.run([sys.executable, "-m", "resync_robot", *command], stderr=subprocess.DEVNULL).returncode == 0
     names = {str(n) for n in files_of(real) if n.parts[0] != "library"}
-    assert names == {"config.json", "recovery.png", *STAGE_FILES}
+    assert names == {"config.json", f"{STAGE}/recovery.png", *STAGE_FILES, *MORE_DREAMS}
     # Made anew whatever becomes of them.
-    (real / "recovery.png").write_bytes(b"")
+    (real / STAGE / "recovery.png").write_bytes(b"")
     (real / "library" / "library.json").unlink()
     for name in STAGE_FILES:
         for how in DAMAGES:
@@ -142,7 +144,7 @@ def test_the_files_of_a_real_run_are_these_and_so_is_their_damage(
 
 
 @pytest.mark.usefixtures("idle")
-@pytest.mark.parametrize("name", ["recovery.png", "demonstrations.png"])
+@pytest.mark.parametrize("name", ["distil.png", "demonstrations.png"])
 def test_a_folder_in_place_of_a_picture_is_said_before_the_work(
     run: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -33,6 +33,19 @@ def test_effects_are_those_of_the_largest_cluster() -> None:
     assert (op.add, op.delete, op.preconditions) == ({FREE(B0)}, {EMPTY(R)}, {EMPTY(R)})
 
 
+def test_what_held_already_is_achieved_as_well() -> None:
+    """Where it was so before nothing changes; of the rest most show what the skill does."""
+    free = column(FREE(B0), [0] * 5 + [1] * 3 + [0] * 4, [1] * 5 + [1] * 3 + [0] * 4, learned=False)
+    op = learn_operator("Op", (R, B0), [free], OperatorConfig())
+    assert op is not None and op.add == {FREE(B0)}
+    published = learn_operator("Op", (R, B0), [free], OperatorConfig(least_cluster=1.0))
+    assert published is not None and published.add == frozenset(), "the largest cluster changes nothing"
+    # That one of many gained it by chance does not make it an effect, though it held after all of them.
+    wet = column(WET(B0), [0] + [1] * 19, [1] * 20, learned=False)
+    op = learn_operator("Op", (R, B0), [wet], OperatorConfig())
+    assert op is not None and op.add == frozenset()
+
+
 def test_a_condition_must_have_held_before_most_successes() -> None:
     columns = [column(EMPTY(R), [1] * 8 + [0] * 2, learned=False), column(FREE(B0), [1] * 7 + [0] * 3, learned=False)]
     op = learn_operator("Op", (R, B0), columns, OperatorConfig())
