@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import chdir
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 
 def solve(domain: Path, problem: Path) -> list[tuple[str, ...]]:
@@ -12,6 +14,7 @@ def solve(domain: Path, problem: Path) -> list[tuple[str, ...]]:
 
     get_environment().credits_stream = None
     read = PDDLReader().parse_problem(str(domain), str(problem))
-    with OneshotPlanner(name="fast-downward-opt") as planner:
+    # It leaves a file in the folder that it runs in, which another test's planner would take for its own.
+    with TemporaryDirectory() as folder, chdir(folder), OneshotPlanner(name="fast-downward-opt") as planner:
         found = planner.solve(read).plan
     return [(a.action.name.lower(), *(str(o).lower() for o in a.actual_parameters)) for a in found.actions]
