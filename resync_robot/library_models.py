@@ -95,17 +95,6 @@ def known_concepts(domain: Domain, library: Library) -> Concepts:
     return load_concepts(library.domain_pddl, library.predicates, domain)
 
 
-def model_with_recovery(domain: Domain, rig: Rig, record: Record, skill: Skill | None = None) -> Model:
-    """The given model with the learned skill beside it, which the planner cannot use yet.
-
-    Args:
-        skill: the recovery to use; by default the record's own, which follows the simulator's state.
-    """
-    model = initial_model(domain, rig)
-    skill = skill or recovery_of(domain, rig, domain.recovery, record, model.skills)
-    return Model({**model.skills, skill.name: skill}, model.abstraction, model.operators)
-
-
 def sees_by_camera(domain: Domain, library: Library) -> bool:
     """Does the library hold a camera policy for the recovery?"""
     return domain.recovery in library.policies
@@ -195,7 +184,7 @@ def _costs(
 
 
 def _arguments(entry: Mapping[str, Any]) -> tuple[int, ...]:
-    """What a tally is about. Libraries of before 2026-11-29 know tallies of one argument only."""
+    """What a tally is about. Older libraries know tallies of one argument only."""
     if "arguments" in entry:
         return tuple(entry["arguments"])
     return () if entry["argument"] is None else (entry["argument"],)

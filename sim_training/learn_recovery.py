@@ -106,7 +106,7 @@ def learn_recovery(
     model = SuccessModel(problem.interface.features, seed)
     torch.manual_seed(seed)
     net = ActorCritic(s.width, s.depth, problem.interface.features, problem.interface.actions)
-    evidence = _Evidence(checkpoint.with_name(EVIDENCE), model)
+    evidence = _Evidence(checkpoint.with_name(EVIDENCE), model, problem.interface.features)
 
     @contextmanager
     def open_environment(done: int) -> Iterator[RecoveryEnv | SharedEnv]:
@@ -169,9 +169,9 @@ class _Evidence:
         attempts, verdicts: how many were made first, and in all.
     """
 
-    def __init__(self, path: Path, model: SuccessModel) -> None:
+    def __init__(self, path: Path, model: SuccessModel, features: int) -> None:
         self._path, self._model = path, model
-        self.failed = np.zeros((0, 0))
+        self.failed = np.zeros((0, features))
         self.attempts = self.verdicts = 0
 
     def began(self, runs: Tried) -> None:

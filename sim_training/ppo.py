@@ -111,8 +111,8 @@ def train_policy(
         running_return = torch.zeros(settings.scenes, device=device)
         random = torch.Generator(device).manual_seed(seed + 1 + done_steps)
         # A run that had learned enough when it was cut off has still learned enough.
-        enough = (
-            done_steps >= settings.least_steps and bool(curve["success"]) and curve["success"][-1] >= settings.stop_at
+        enough = done_steps >= max(settings.least_steps, 1) and (
+            curve["success"][-1] >= settings.stop_at or has_plateaued(curve, settings)
         )
         while done_steps < settings.total_steps and not enough:
             fraction = min(1.0, (done_steps - _found(curve, settings, done_steps)) / settings.anneal_steps)

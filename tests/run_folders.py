@@ -52,7 +52,7 @@ def make_run(path: Path) -> RunFolder:
     optimiser.step()
     curve = {name: [64.0, 128.0] for name in ("steps", "success", "return", "seconds")}
     ppo._save(folder.path / "ppo.safetensors", net, optimiser, curve)
-    _Evidence(folder.path / EVIDENCE, SuccessModel(OBSERVATION_SIZE, 0)).write(128)
+    _Evidence(folder.path / EVIDENCE, SuccessModel(OBSERVATION_SIZE, 0), OBSERVATION_SIZE).write(128)
     record = library.skills[domain.recovery]
     save_file({k: np.ascontiguousarray(v) for k, v in record.tensors.items()}, folder.path / "recovery.safetensors")
     write_json(

@@ -7,9 +7,10 @@ from dataclasses import replace
 import pytest
 
 from resync_robot.core.errors import LibraryError, PolicyError
-from resync_robot.core.library import load_library
+from resync_robot.core.library import Record, load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.core.vocabulary import BLOCK, ROBOT
+from resync_robot.curriculum.context import Known
 from resync_robot.learning.model import Concepts
 from resync_robot.library_models import (
     camera_recovery,
@@ -17,10 +18,10 @@ from resync_robot.library_models import (
     known_concepts,
     learned_model,
     make_library,
-    model_with_recovery,
     sees_by_camera,
     shipped_library,
 )
+from resync_robot.planning.execute import Model
 from resync_robot.planning.pddl import domain_to_pddl
 from resync_robot.planning.search import plan
 from resync_robot.sim_training.domains import find_domain
@@ -41,8 +42,13 @@ def test_the_given_model_plans_obliviously() -> None:
     assert str(found) == "Pick(r, b1), Insert(r, b1, b0)"
 
 
+def with_recovery(record: Record) -> Model:
+    """The given model and the recovery of a record, which no operator speaks of yet."""
+    return Known(domain=CORNERED.spec, rig=RIG).with_recovery(CORNERED.recovery, record).open().model
+
+
 def test_a_recovery_beside_it_changes_neither_symbols_nor_plans() -> None:
-    given, model = initial_model(CORNERED, RIG), model_with_recovery(CORNERED, RIG, recovery_record())
+    given, model = initial_model(CORNERED, RIG), with_recovery(recovery_record())
     assert set(model.skills) == {"Pick", "Insert", "Place", CORNERED.recovery}
     assert model.operators == given.operators
     assert model.abstraction.predicates == given.abstraction.predicates
@@ -150,7 +156,7 @@ def test_a_recovery_record_that_lacks_a_part_is_refused(part: str) -> None:
     without_weights = replace(record, tensors={k: v for k, v in record.tensors.items() if not k.startswith(part)})
     for broken in (without_meta, without_weights):
         with pytest.raises(LibraryError):
-            model_with_recovery(CORNERED, RIG, broken)
+            with_recovery(broken)
 
 
 @pytest.mark.parametrize(

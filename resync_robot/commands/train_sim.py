@@ -55,8 +55,8 @@ class TrainConfig:
     """The robot and cameras to train for, a TOML file. Default: the rig that the simulation assumes."""
 
     device: Given[Literal["cpu", "cuda"]] = None
-    """Where the recovery is learned; cuda: thousands of scenes in ManiSkill. The other stages run on the CPU. Default:
-    cpu."""
+    """Where the arm's recovery and its camera policy are learned; cuda: the recovery in thousands of scenes in
+    ManiSkill, by a reward written by hand. All else runs on the CPU. Default: cpu."""
 
     concepts: Given[Literal["default", "paper"]] = None
     """How predicates and operators are learned: this project's choices (default) or the published formulation."""

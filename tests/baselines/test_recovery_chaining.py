@@ -10,16 +10,16 @@ from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import Record
 from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import GroundSkill
+from resync_robot.curriculum.context import Known
 from resync_robot.learning.recovery_policy import OBSERVATION_SIZE
 from resync_robot.learning.terminals import train_terminal
-from resync_robot.library_models import model_with_recovery
 from resync_robot.sim_training.domains import find_domain
 from tests import scenes
 from tests.libraries import DOMAIN, recovery_record
 from tests.scenes import B0, B1, THE_BOX, R
 
 CORNERED = find_domain(DOMAIN)
-MODEL = model_with_recovery(CORNERED, load_rig(), recovery_record())
+MODEL = Known(domain=CORNERED.spec, rig=load_rig()).with_recovery(CORNERED.recovery, recovery_record()).open().model
 STATE = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).initial
 PICK, INSERT = MODEL.skill("Pick").ground((R, B0)), MODEL.skill("Insert").ground((R, B1, B0))
 

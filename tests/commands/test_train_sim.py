@@ -202,7 +202,7 @@ def whole(out: Path) -> str:
     model = learned_model(domain, load_rig(), library)
     assert domain.recovery in {o.name for o in model.operators}
     assert (out / "stages" / STAGE / "recovery.png").stat().st_size > 1000
-    figures = json.loads((out / "metrics.json").read_text())
+    figures = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
     assert {f"{STAGE}/{step}" for step in (*STEPS, "distil")} <= set(figures)
     return library.content_hash
 
