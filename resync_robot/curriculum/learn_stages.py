@@ -281,7 +281,9 @@ class _Stage:
         save_library(library, folder.library)
         folder.record("save", {"content_hash": library.content_hash})
         curve, stop_at = folder.figures("recover")["curve"], c.budgets.recovery.ppo.stop_at
-        draw_learning_curve(curve, folder.path / "recovery.png", 0, stop_at)
+        # Only once the first episodes can have run out of time all count, and not just those that end early.
+        begins = (c.on_gpu or c.budgets.recovery.ppo).scenes * stage.horizon
+        draw_learning_curve(curve, folder.path / "recovery.png", begins, stop_at)
         return library
 
 
