@@ -49,8 +49,12 @@ def recovery_skill(name: str, record: Record, rig: Rig, settings: RecoverySkillS
     """The skill of a library record, over (robot, block, box). Raises LibraryError on a broken record."""
     s = settings or RecoverySkillSettings()
     net, done = recovery_nets(record)
-    sure = float(record.meta.get("sure", s.sure))
-    return skill_from(name, net.act, done.probability, rig, replace(s, sure=sure))
+    return skill_from(name, net.act, done.probability, rig, replace(s, sure=how_sure(record)))
+
+
+def how_sure(record: Record) -> float:
+    """The probability of beta_N from which on the recovery of a record is done."""
+    return float(record.meta.get("sure", RecoverySkillSettings.sure))
 
 
 def recovery_nets(record: Record) -> tuple[ActorCritic, Terminal]:

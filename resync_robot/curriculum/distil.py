@@ -29,7 +29,6 @@ from resync_robot.curriculum.presets import TRAINING_SEEDS
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.camera_view import PICTURE, VIEWS, CameraPolicy, Prediction
 from resync_robot.learning.failures import PairGaussian
-from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.sim_training.demonstrations import dataset
 from resync_robot.sim_training.demonstrations.rollouts import (
     RolloutSettings,
@@ -43,7 +42,6 @@ from resync_robot.sim_training.demonstrations.starts import draw_start
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.physics.randomise import PICTURED, Ranges
-from resync_robot.sim_training.recovery import RecoverySettings
 
 if TYPE_CHECKING:
     from resync_robot.policies.diffusion import DiffusionStudent
@@ -143,15 +141,20 @@ def make_context(
     student: Path | None,
     blind: tuple[str, ...] = (),
 ) -> DistilContext:
-    from resync_robot.policies.state_recovery import recovery_nets
-
-    net: ActorCritic = recovery_nets(record)[0]
     policy: CameraPolicy | None = None
     if student is not None:
         from resync_robot.policies.diffusion import load_student
 
         policy = _Blind(load_student(student), blind) if blind else load_student(student)
-    return DistilContext(find_domain(domain), rig, net.act, policy, gaussians)
+    return DistilContext(find_domain(domain), rig, teacher_of(record), policy, gaussians)
+
+
+def teacher_of(record: Record) -> Teacher:
+    """The recovery of a library record, which sees the exact state."""
+    from resync_robot.policies.state_recovery import how_sure, recovery_nets
+
+    (net, done), sure = recovery_nets(record), how_sure(record)
+    return Teacher(net.act, lambda seen: done.probability(seen) > sure)
 
 
 @dataclass(frozen=True)
@@ -166,12 +169,10 @@ def _demonstrate(context: DistilContext, shard: _Shard) -> int:
     """Write one shard. Returns how many of its worlds were recovered."""
     seeds = range(shard.first_seed, shard.first_seed + SHARD)
     starts = [draw_start(context.domain, context.gaussians, s, shard.looks) for s in seeds]
-    found = demonstrate(
-        starts, context.rig, context.teacher, RecoverySettings(), shard.first_seed, context.student, shard.rollout
-    )
+    found = demonstrate(starts, context.rig, context.teacher, shard.first_seed, context.student, shard.rollout)
     more = range(shard.first_seed + STILL_SEEDS, shard.first_seed + STILL_SEEDS + STILL)
     still = [draw_start(context.domain, context.gaussians, s, shard.looks) for s in more]
-    around = look_around(still, context.rig, RecoverySettings(), more.start, settings=shard.rollout)
+    around = look_around(still, context.rig, context.teacher, more.start, settings=shard.rollout)
     segments = [s for of in found for s in of] + ([around] if around else [])
     stamp = {"first_seed": shard.first_seed, "rig_hash": context.rig.hash, "git": git_hash()}
     task = context.domain.instruction or context.domain.recovery
@@ -184,7 +185,7 @@ def _try(context: DistilContext, seeds: tuple[int, ...]) -> list[Trial | None]:
     if context.student is None:
         raise TrainingError("there is no student to try")
     starts = [draw_start(context.domain, context.gaussians, s, failed_only=True) for s in seeds]
-    return try_student(starts, context.rig, context.student, RecoverySettings(), seeds[0])
+    return try_student(starts, context.rig, context.student, context.teacher, seeds[0])
 
 
 def distil(

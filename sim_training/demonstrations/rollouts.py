@@ -29,10 +29,24 @@ from resync_robot.learning.camera_view import (
 from resync_robot.learning.recovery_policy import up_axis
 from resync_robot.sim_training.demonstrations.recoveries import RenderedRecovery, Seen
 from resync_robot.sim_training.demonstrations.starts import Start
-from resync_robot.sim_training.recovery import RecoverySettings, is_recovered, is_tipped
 
-Teacher = Callable[[Tensor], Tensor]
-"""(n, 19) observations of exact states -> (n, 3) actions."""
+
+@dataclass(frozen=True)
+class Teacher:
+    """A recovery that sees the exact state, as (n, 19) observations.
+
+    Attributes:
+        act: -> (n, 3) actions.
+        done: -> (n,) is there nothing left to do? Its beta_N, which the planner's verdicts taught.
+    """
+
+    act: Callable[[Tensor], Tensor]
+    done: Callable[[Tensor], Tensor]
+
+    def says_done(self, x: Tensor, margin: float = 0.0) -> list[bool]:
+        """Of (n, 27) projected states, in boxes that are narrower by `margin` m at every wall."""
+        with torch.no_grad():
+            return [bool(d) for d in self.done(recovery_policy.observe(_narrower(x, margin)))]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +73,8 @@ class RolloutSettings:
     margin: float = 0.008
     """m by which the teacher is told that the box is narrower at every wall. A student that sees gaps a few mm wrong
     would stop short of the line in half of its attempts if demonstrations ended on it."""
+    lag: float = recovery_policy.LAG
+    """Most control steps that an arm is behind its commands."""
     unrecorded_noise: float = 0.0
     """m of noise on what is executed but not on what is recorded. Nothing to use: an ablation shows what it costs."""
 
@@ -197,7 +213,6 @@ def demonstrate(
     starts: Sequence[Start],
     rig: Rig,
     teacher: Teacher,
-    recovery: RecoverySettings,
     seed: int,
     student: CameraPolicy | None = None,
     settings: RolloutSettings | None = None,
@@ -212,26 +227,21 @@ def demonstrate(
     runs = []
     for i, start in enumerate(starts):
         steps = 0 if student is None else int(rng.integers(*s.drive))
-        runs.append(_Run(RenderedRecovery(start, rig, recovery.lag, seed + i, s.picture), s, steps, seed + i))
+        runs.append(_Run(RenderedRecovery(start, rig, s.lag, seed + i, s.picture), s, steps, seed + i))
     while any(not r.over for r in runs):
         driven = [r for r in runs if r.with_student]
         if student is not None:
             seen = _advance_students(driven, student)
             for r, o in zip(driven, seen, strict=True):
-                x, before = (_narrower(v, s.margin) for v in (r.scene.x, r.scene.previous))
-                r.lead_in(o, bool(is_recovered(x, before, recovery)))
+                r.lead_in(o, teacher.says_done(r.scene.x, s.margin)[0])
                 r.call_teacher()
         taught = [r for r in runs if not r.over and r not in driven]
         if taught:
-            x = _narrower(torch.cat([r.scene.x for r in taught]), s.margin)
-            previous = torch.cat([r.scene.previous for r in taught])
+            x = torch.cat([r.scene.x for r in taught])
             with torch.no_grad():
-                actions = teacher(recovery_policy.observe(x))
-            recovered = is_recovered(x, previous, recovery).tolist()
-            tipped = is_tipped(x, recovery).tolist()
-            for r, action, done, fallen in zip(taught, actions, recovered, tipped, strict=True):
+                actions = teacher.act(recovery_policy.observe(_narrower(x, s.margin)))
+            for r, action, done in zip(taught, actions, teacher.says_done(x, s.margin), strict=True):
                 r.teach(action, done)
-                r.over |= fallen
         for r in runs:
             if not r.over:
                 r.scene.step(r.goal)
@@ -249,7 +259,7 @@ def _narrower(x: Tensor, margin: float) -> Tensor:
 def look_around(
     starts: Sequence[Start],
     rig: Rig,
-    recovery: RecoverySettings,
+    teacher: Teacher,
     seed: int,
     each: int = 3,
     settings: RolloutSettings | None = None,
@@ -262,13 +272,12 @@ def look_around(
     s = settings or RolloutSettings()
     found: list[tuple[np.ndarray, np.ndarray, bool, np.ndarray]] = []
     for i, start in enumerate(starts):
-        scene = RenderedRecovery(start, rig, recovery.lag, seed + i, s.picture)
+        scene = RenderedRecovery(start, rig, s.lag, seed + i, s.picture)
         for _ in range(each if scene.stands else 0):
             scene.freeze(random)
-            x = _narrower(scene.x, s.margin)
             seen = scene.see()
             state = state_seen(seen.q, seen.tip, scene.sent, scene.yaw, scene.scanned)
-            found.append((seen.pictures, state, bool(is_recovered(x, x, recovery)), scene.block()))
+            found.append((seen.pictures, state, teacher.says_done(scene.x, s.margin)[0], scene.block()))
     if not found:
         return None
     n = len(found)
@@ -308,7 +317,7 @@ class Trial:
     """How a policy alone did from one start.
 
     Attributes:
-        recovered: at the end, in truth.
+        recovered: at the end, as beta_N says of the exact state.
         stopped: it said by itself that it was done.
         steps: control steps until then.
     """
@@ -326,14 +335,14 @@ def try_student(
     starts: Sequence[Start],
     rig: Rig,
     student: CameraPolicy,
-    recovery: RecoverySettings,
+    teacher: Teacher,
     seed: int,
     settings: RolloutSettings | None = None,
 ) -> list[Trial | None]:
     """The student alone, stopped by its own word, as it is deployed; None where a scene fell over at once."""
     s = settings or RolloutSettings()
     runs = [
-        _Run(RenderedRecovery(start, rig, recovery.lag, seed + i, student.picture), s, s.student_horizon, seed + i)
+        _Run(RenderedRecovery(start, rig, s.lag, seed + i, student.picture), s, s.student_horizon, seed + i)
         for i, start in enumerate(starts)
     ]
     trials: list[Trial | None] = [None] * len(runs)
@@ -344,8 +353,7 @@ def try_student(
                 continue
             stopped = r.said_done >= DONE_IN_A_ROW
             if stopped or step == s.student_horizon - 1:
-                recovered = bool(is_recovered(r.scene.x, r.scene.previous, recovery))
-                trials[i], r.over = Trial(recovered, stopped, step), True
+                trials[i], r.over = Trial(teacher.says_done(r.scene.x)[0], stopped, step), True
             else:
                 r.scene.step(r.goal)
     return trials

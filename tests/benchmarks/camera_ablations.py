@@ -27,7 +27,6 @@ from resync_robot.sim_training.demonstrations.starts import draw_start
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.physics.randomise import PICTURED, PRACTICE, UNSEEN
-from resync_robot.sim_training.recovery import RecoverySettings
 from tests.libraries import gaussians_of
 
 WHOLE = DistilPlan(worlds=320, rounds=1, round_worlds=160, steps=1800, round_steps=1000)
@@ -61,7 +60,7 @@ def _try(context, job: tuple[str, int]) -> list[bool]:  # type: ignore[no-untype
     looks, first = job
     ranges = UNSEEN if looks == "unseen" else PICTURED
     starts = [draw_start(context.domain, context.gaussians, first + i, ranges, failed_only=True) for i in range(BATCH)]
-    trials = try_student(starts, context.rig, context.student, RecoverySettings(), first)
+    trials = try_student(starts, context.rig, context.student, context.teacher, first)
     return [t.success for t in trials if t is not None]
 
 

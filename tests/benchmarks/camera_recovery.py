@@ -23,6 +23,7 @@ import numpy as np
 from resync_robot.core.intervals import wilson
 from resync_robot.core.library import Library, Record, load_library
 from resync_robot.core.rig import load_rig
+from resync_robot.curriculum.distil import teacher_of
 from resync_robot.learning.camera_view import STATE_NAMES, VIEWS, CameraPolicy
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.sim_training.demonstrations.rollouts import RolloutSettings, Teacher, demonstrate, try_student
@@ -31,7 +32,6 @@ from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map
 from resync_robot.sim_training.physics.randomise import LOOKS
 from resync_robot.sim_training.physics.solver import REFERENCE, with_solver
-from resync_robot.sim_training.recovery import RecoverySettings
 from tests.libraries import gaussians_of
 
 FRESH = 950_000_000
@@ -42,7 +42,6 @@ ALONE = RolloutSettings(burst_probability=0.0)
 
 def _context(path: Path) -> tuple[Library, Teacher, CameraPolicy, dict[str, PairGaussian]]:
     from resync_robot.policies.diffusion import load_student
-    from resync_robot.policies.state_recovery import recovery_nets
 
     library = load_library(path)
     domain = find_domain(library.domain)
@@ -52,7 +51,7 @@ def _context(path: Path) -> tuple[Library, Teacher, CameraPolicy, dict[str, Pair
             (Path(folder) / name).write_bytes(data)
         student = load_student(Path(folder))
     gaussians = gaussians_of(library)
-    return library, recovery_nets(record)[0].act, student, gaussians
+    return library, teacher_of(record), student, gaussians
 
 
 def _both(context, job: tuple[str, int, bool]) -> list[tuple[bool, bool, bool]]:  # type: ignore[no-untyped-def]
@@ -63,8 +62,8 @@ def _both(context, job: tuple[str, int, bool]) -> list[tuple[bool, bool, bool]]:
     starts = [draw_start(domain, gaussians, first + i, LOOKS[looks], failed_only=True) for i in range(BATCH)]
     if reference:
         starts = [replace(start, task=with_solver(start.task, REFERENCE)) for start in starts]
-    taught = demonstrate(starts, rig, teacher, RecoverySettings(), first, settings=ALONE)
-    trials = try_student(starts, rig, student, RecoverySettings(), first)
+    taught = demonstrate(starts, rig, teacher, first, settings=ALONE)
+    trials = try_student(starts, rig, student, teacher, first)
     return [(bool(s), t.success, t.stopped) for s, t in zip(taught, trials, strict=True) if t is not None]
 
 

@@ -37,6 +37,7 @@ from resync_robot.sim_training.demonstrations.recoveries import RenderedRecovery
 from resync_robot.sim_training.demonstrations.rollouts import (
     RolloutSettings,
     Segment,
+    Teacher,
     demonstrate,
     look_around,
     try_student,
@@ -45,7 +46,6 @@ from resync_robot.sim_training.demonstrations.starts import Start, draw_start
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.domains.cornered_insertion_s.corner import CORNER
 from resync_robot.sim_training.physics.world import SimWorld
-from resync_robot.sim_training.recovery import RecoverySettings
 from tests import scenes
 from tests.run_folders import DAMAGES
 
@@ -62,12 +62,16 @@ def gaussians() -> dict[str, PairGaussian]:
     return {"before": PairGaussian.fit(deep, CORNER.resolution), "after": PairGaussian.fit(clear, CORNER.resolution)}
 
 
-def still(seen: torch.Tensor) -> torch.Tensor:
-    return torch.zeros(len(seen), 3)
+NEEDED = 0.040
 
 
-def upwards(seen: torch.Tensor) -> torch.Tensor:
-    return torch.tensor([[0.0, 0.0, 1.0]]).expand(len(seen), 3)
+def freed(seen: torch.Tensor) -> torch.Tensor:
+    """Room to both walls, upright, and the hand out of the way."""
+    return (seen[:, :2].min(1).values > 10 * NEEDED) & (seen[:, 4] > 0.5) & (seen[:, 14] > 0.98)
+
+
+STILL = Teacher(lambda seen: torch.zeros(len(seen), 3), freed)
+UPWARDS = Teacher(lambda seen: torch.tensor([[0.0, 0.0, 1.0]]).expand(len(seen), 3), freed)
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +164,7 @@ def test_pictures_of_half_of_all_scenes_are_one_step_old() -> None:
 
 def test_a_segment_s_actions_are_the_steps_that_were_carried_out() -> None:
     settings = RolloutSettings(burst_probability=0.3, hold=3)
-    found = demonstrate([FREE, FREE], RIG, upwards, RecoverySettings(), seed=3, settings=settings)
+    found = demonstrate([FREE, FREE], RIG, UPWARDS, seed=3, settings=settings)
     segments = [s for of in found for s in of if s.acts.all()]
     assert segments
     for segment in segments:
@@ -174,30 +178,30 @@ def test_a_segment_s_actions_are_the_steps_that_were_carried_out() -> None:
 
 def test_a_demonstration_begins_like_a_deployment_with_a_hand_at_rest() -> None:
     calm = RolloutSettings(burst_probability=0.0)
-    found = demonstrate([FREE] * 8, RIG, upwards, RecoverySettings(), seed=3, settings=calm)
+    found = demonstrate([FREE] * 8, RIG, UPWARDS, seed=3, settings=calm)
     low = [s for (s,) in found if not s.recovered[0]]
     assert low and all(np.abs(s.state[0, 9:12]).max() < 1e-3 and s.action[0, 2] > 0.01 for s in low)
 
 
 def test_a_burst_is_not_recorded_and_splits_the_episode() -> None:
-    calm = demonstrate([FREE], RIG, still, RecoverySettings(), 5, settings=RolloutSettings(burst_probability=0.0))
+    calm = demonstrate([FREE], RIG, STILL, 5, settings=RolloutSettings(burst_probability=0.0))
     assert [s.ends for s in calm[0]] == [True]
 
 
 def test_a_failed_episode_leaves_nothing() -> None:
     settings = RolloutSettings(horizon=5, burst_probability=0.0)
-    assert demonstrate([CORNERED], RIG, still, RecoverySettings(), 5, settings=settings) == [[]]
+    assert demonstrate([CORNERED], RIG, STILL, 5, settings=settings) == [[]]
 
 
 def test_moments_without_motion_show_blocks_anywhere_and_say_whether_they_are_free() -> None:
-    found = look_around([CORNERED] * 6, RIG, RecoverySettings(), 0, each=4)
+    found = look_around([CORNERED] * 6, RIG, STILL, 0, each=4)
     assert found is not None and len(found.state) == 24
     assert not found.acts.any() and not found.ends
     gaps = found.block[:, GAPS].min(1)
     assert gaps.min() < 0.015 and gaps.max() > 0.05
-    needed = RecoverySettings().gap + RolloutSettings().margin
+    needed = NEEDED + RolloutSettings().margin
     assert not found.recovered[gaps < needed - 1e-3].any() and found.recovered.any()
-    assert look_around([], RIG, RecoverySettings(), 0) is None
+    assert look_around([], RIG, STILL, 0) is None
 
 
 @given(st.integers(0, 3), st.floats(0.0, np.pi / 2), st.floats(0.03, 0.08), st.floats(0.03, 0.08), st.floats(-3, 3))
@@ -211,7 +215,7 @@ def test_a_tilted_block_stands_on_one_edge(edge: int, angle: float, width: float
 
 
 def test_some_moments_without_motion_show_blocks_that_lean_and_call_none_of_them_free() -> None:
-    found = look_around([FREE] * 10, RIG, RecoverySettings(), 0, each=4)
+    found = look_around([FREE] * 10, RIG, STILL, 0, each=4)
     assert found is not None
     lean = np.hypot(*found.block[:, 5:].T)
     assert 0.1 < (lean > 0.1).mean() < 0.5 and lean.max() > 0.5
@@ -223,7 +227,7 @@ def test_demonstrations_end_a_margin_beyond_the_line() -> None:
     ends = []
     for margin in (0.0, 0.008):
         settings = RolloutSettings(horizon=12, burst_probability=0.0, margin=margin)
-        ends.append([bool(of) for of in demonstrate([nearly], RIG, upwards, RecoverySettings(), 5, settings=settings)])
+        ends.append([bool(of) for of in demonstrate([nearly], RIG, UPWARDS, 5, settings=settings)])
     assert ends == [[True], [False]]
 
 
@@ -242,14 +246,14 @@ class Rising:
 
 
 def test_a_student_is_judged_by_the_truth_not_by_its_word() -> None:
-    trials = try_student([CORNERED, FREE], RIG, Rising(), RecoverySettings(), 0)
+    trials = try_student([CORNERED, FREE], RIG, Rising(), STILL, 0)
     assert [t is not None and t.stopped for t in trials] == [True, True]
     assert [t is not None and t.success for t in trials] == [False, True]
     assert trials[0] is not None and trials[0].steps == EXECUTE
 
 
 def test_after_a_student_the_teacher_goes_on_and_only_it_is_recorded() -> None:
-    found = demonstrate([FREE], RIG, upwards, RecoverySettings(), 11, student=Rising(done=0.0))
+    found = demonstrate([FREE], RIG, UPWARDS, 11, student=Rising(done=0.0))
     (segment, *_) = found[0]
     assert segment.state[0, 8] > 0.14, "the student had lifted the hand before"
 
@@ -257,7 +261,7 @@ def test_after_a_student_the_teacher_goes_on_and_only_it_is_recorded() -> None:
 def test_the_teacher_is_called_where_a_student_believes_that_it_is_done() -> None:
     heights = []
     for done in (0.0, 1.0):
-        found = demonstrate([FREE], RIG, upwards, RecoverySettings(), 11, student=Rising(done))
+        found = demonstrate([FREE], RIG, UPWARDS, 11, student=Rising(done))
         heights.append(found[0][0].state[0, 8])
     assert heights[1] < heights[0] - 0.02
 
