@@ -18,22 +18,17 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import ArmObservation
-from resync_robot.learning.recovery_policy import ACTION_SIZE, LAG, OBSERVATION_SIZE, commanded_tip, observe, project
+from resync_robot.learning.recovery_policy import (
+    ACTION_SIZE,
+    OBSERVATION_SIZE,
+    PressVariety,
+    commanded_tip,
+    observe,
+    project,
+)
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
 from resync_robot.policies.grasp import travel_height
 from resync_robot.policies.state_recovery import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
-
-
-@dataclass(frozen=True, kw_only=True)
-class PressVariety:
-    """What training draws for each run."""
-
-    lag: float = LAG
-    """Most control steps that an arm is behind its commands."""
-    height: tuple[float, float] = (0.002, 0.07)
-    """m over the stud at which the policy takes over, up to a little more than the skill's own approach leaves."""
-    aside: float = 0.012
-    """Most m beside the block's middle, along each axis, at which it does: an approach relies on a scan that errs."""
 
 
 @dataclass

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from resync_robot.learning.learned_recovery import LearnedRecovery
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
 from resync_robot.learning.terminals import Terminal, train_terminal
-from resync_robot.sim_training.ppo import PpoSettings, Progress, train_policy
+from resync_robot.sim_training.ppo import Environment, PpoSettings, Progress, train_policy
 from resync_robot.sim_training.recovery_elsewhere import tried_elsewhere
 from resync_robot.sim_training.recovery_env import JudgedSettings, RecoveryEnv, Tried
 from resync_robot.sim_training.recovery_problem import Problem
@@ -58,6 +58,15 @@ class RecoverySettings:
     """The same, for each other object that the failed skill can be applied to: a recovery is planned for these, too."""
     roll_outs: int = 80
     """Of the finished policy, from which the terminal function is learned."""
+    judges: int = 32
+    """Scenes in processes where the policy is learned on a device."""
+
+
+OnDevice = Callable[
+    [Problem, SuccessModel, "RecoveryEnv | SharedEnv", int, PpoSettings, JudgedSettings],
+    AbstractContextManager[Environment],
+]
+"""(problem, model, the scenes in processes that judge, seed, settings) -> the scenes on a device."""
 
 
 @dataclass(frozen=True)
@@ -92,12 +101,16 @@ def learn_recovery(
     *,
     workers: int = 0,
     pose: Callable[[], Problem] | None = None,
+    on_device: OnDevice | None = None,
+    device: str = "cpu",
 ) -> Learned:
     """Learn the stage's recovery; resumes from `checkpoint` where one lies.
 
     Args:
         workers: processes that step the scenes; 0 steps them in this one.
         pose: makes the problem anew in each of them: a function of a module, or a partial of one.
+        on_device: the scenes that the policy is learned in, where those in processes only judge.
+        device: theirs, and the policy's meanwhile.
 
     Raises:
         TrainingError: a terminal function cannot be learned, for the policy hardly ever recovers.
@@ -105,28 +118,34 @@ def learn_recovery(
     s = settings or RecoverySettings()
     model = SuccessModel(problem.interface.features, seed)
     torch.manual_seed(seed)
-    net = ActorCritic(s.width, s.depth, problem.interface.features, problem.interface.actions)
+    net = ActorCritic(s.width, s.depth, problem.interface.features, problem.interface.actions).to(device)
+    scenes = s.ppo.scenes if on_device is None else s.judges
     evidence = _Evidence(checkpoint.with_name(EVIDENCE), model, problem.interface.features)
 
     @contextmanager
-    def open_environment(done: int) -> Iterator[RecoveryEnv | SharedEnv]:
+    def open_environment(done: int) -> Iterator[Environment]:
         # Of a run that was cut off before the policy was learned, the model learns anew what it had learned.
         known = evidence.read(done)
-        with _opened(problem, model, s.ppo.scenes, seed + done, s, workers, pose) as env:
+        with _opened(problem, model, scenes, seed + done, s, workers, pose) as env:
             if not known:
                 others = tried_elsewhere(problem, seed, s.elsewhere)
                 if others:
                     model.add(np.stack([run.features for run in others]), np.array([run.succeeded for run in others]))
                 env.attempt(s.attempts)
                 evidence.began([*others, *env.learn()])
-                env.reset(torch.arange(s.ppo.scenes))
-            yield env
+                env.reset(torch.arange(scenes))
+            if on_device is None:
+                yield env
+            else:
+                with on_device(problem, model, env, seed + done, s.ppo, s.judged) as many:
+                    yield many
             evidence.verdicts += env.judged
 
     curve = train_policy(net, open_environment, s.ppo, seed, checkpoint, progress)
     evidence.write(int(curve["steps"][-1]))
+    net = net.cpu().eval()
     with _opened(problem, model, max(workers, 1), seed + s.ppo.total_steps + 1, s, workers, pose) as env:
-        last = env.roll_out(net.eval(), s.roll_outs)
+        last = env.roll_out(net, s.roll_outs)
         verdicts = evidence.verdicts + env.judged
     # Every verdict that was asked for says where the skill succeeds, and so when the recovery is done.
     x, y = model.remembered()
@@ -152,6 +171,7 @@ def learn_recovery(
     figures = {
         "curve": curve,
         "steps": curve["steps"][-1],
+        "scenes": s.ppo.scenes,
         "attempts": evidence.attempts,
         "verdicts": verdicts,
         "terminal_accuracy": round(accuracy, 4),
@@ -231,7 +251,7 @@ def _part(
 ) -> RecoveryEnv:
     """Some of the scenes, of some of the failures: each is built once."""
     problem = pose()
-    problem = replace(problem, starts=problem.starts[number::workers] or problem.starts)
+    own = range(number, len(problem.starts), workers)
     model = SuccessModel(problem.interface.features, seed)
     part_seed = int(np.random.default_rng([seed, number]).integers(2**31))
-    return RecoveryEnv(problem, model, count=count, seed=part_seed, gamma=s.ppo.gamma, settings=s.judged)
+    return RecoveryEnv(problem, model, count=count, seed=part_seed, gamma=s.ppo.gamma, settings=s.judged, own=own)

@@ -66,7 +66,7 @@ def _obstructed(problem: Problem, other: Problem, tasks: list[Task], seed: int) 
 
 
 def _tried(problem: Problem, starts: list[Start]) -> Tried:
-    episodes, found = Episodes(problem, np.random.default_rng(0), 0.0, 0), []
+    episodes, found = Episodes(problem, starts, np.random.default_rng(0), 0.0, 0), []
     for start in starts:
         scene = episodes.begin_in(start.task, start.state)
         if scene is not None:

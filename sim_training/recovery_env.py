@@ -9,7 +9,6 @@ earlier successes, so that success is found early.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,6 +21,7 @@ from resync_robot.core.errors import TrainingError
 from resync_robot.core.state import State
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
+from resync_robot.sim_training.claims import Claims
 from resync_robot.sim_training.recovery_episodes import Episodes, Scene
 from resync_robot.sim_training.recovery_problem import Problem
 
@@ -68,11 +68,11 @@ class JudgedSettings:
     kept: int = 512
     """How many such states are kept of either kind, and scenes."""
 
+    def claims(self) -> Claims:
+        """None was made yet."""
+        return Claims(self.worth_a_try, self.confirmed, self.believed)
 
-LATELY = 40
-"""Verdicts on claims of the model that tell how far it can be believed."""
-STRICTER, STRICTEST = 0.3, 2.0
-"""By how much a refuted claim raises the log-odds that the next one needs, and by how much all of them may."""
+
 AT_ONCE = 50
 """Runs that are allowed before there was any action."""
 STUMBLES = 8
@@ -95,6 +95,7 @@ class RecoveryEnv:
 
     Args:
         count: scenes.
+        own: the problem's starts, by number, that its own episodes begin in; None: all of them.
 
     Raises:
         TrainingError: there is nowhere to begin.
@@ -109,16 +110,17 @@ class RecoveryEnv:
         seed: int,
         gamma: float = 0.98,
         settings: JudgedSettings | None = None,
+        own: Sequence[int] | None = None,
     ) -> None:
         if not problem.starts:
             raise TrainingError("there is no state in which the skill failed: mine failures first")
         self.problem, self.model, self.count, self.gamma = problem, model, count, gamma
         self.settings = settings or JudgedSettings()
         self._judge, self._rng = problem.judge, np.random.default_rng(seed)
-        self._episodes = Episodes(problem, self._rng, self.settings.between, self.settings.kept)
+        self._own = [problem.starts[i] for i in own or range(len(problem.starts))]
+        self._episodes = Episodes(problem, self._own, self._rng, self.settings.between, self.settings.kept)
         self._tried: Tried = []
-        self._claims: deque[bool] = deque(maxlen=LATELY)
-        self._demand = 0.0
+        self._claims = self.settings.claims()
         self._allowed = float(AT_ONCE)
         self.judged = 0
         self._scenes = [self._begun() for _ in range(count)]
@@ -182,7 +184,7 @@ class RecoveryEnv:
         between, episodes can begin."""
         for i in range(count):
             kind = i // 2 % 4
-            failed = self.problem.starts[int(self._rng.integers(len(self.problem.starts)))]
+            failed = self._own[int(self._rng.integers(len(self._own)))]
             free = self.problem.free(int(self._rng.integers(2**31))) if kind else None
             start = failed if free is None else free if kind == 1 else self.problem.between(failed, free, self._rng)
             scene = self._episodes.begin_in(start.task, start.state)
@@ -195,6 +197,26 @@ class RecoveryEnv:
                 self._episodes.keep(self._episodes.between, start.task, snapshot)
             self._episodes.end(scene)
 
+    def judge_in(self, asked: Sequence[tuple[int, State]]) -> list[Try | None]:
+        """Run the failed skill from states that another simulator reached; `taken` tells of these runs as well.
+
+        Args:
+            asked: for each the number of the problem's start in whose task it lies, and the state.
+
+        Returns:
+            In the same order; None where the state does not stand here.
+        """
+        found: list[Try | None] = []
+        for number, state in asked:
+            scene = self._episodes.begin_in(self.problem.starts[number].task, state, approach=False)
+            if scene is None:
+                found.append(None)
+                continue
+            self._verdict(scene, self._episodes.see([scene])[0])
+            found.append(self._tried[-1])
+            self._episodes.end(scene)
+        return found
+
     def roll_out(self, net: ActorCritic, count: int) -> Tried:
         """Verdicts along episodes of a policy, and a little beyond success: each time halfway between the last state
         that is known to fail and the first that is known to succeed."""
@@ -205,7 +227,7 @@ class RecoveryEnv:
             while True:
                 seen = self._episodes.see([scene])
                 way.append((scene.simulator.save(), scene.state, seen[0]))
-                sure += float(self.model.probability(seen)[0]) >= self._claimed_from()
+                sure += float(self.model.probability(seen)[0]) >= self._claims.claimed_from
                 if len(way) > self.problem.stage.horizon or sure > BEYOND:
                     break
                 with torch.no_grad():
@@ -230,9 +252,10 @@ class RecoveryEnv:
         believed."""
         s, success = self.settings, np.zeros(self.count, dtype=bool)
         for i, scene in enumerate(self._scenes):
-            claimed = self._likely[i] >= self._claimed_from() or not self.model.fitted
+            claimed = self._likely[i] >= self._claims.claimed_from or not self.model.fitted
             claimed &= scene.rested >= s.patience
-            if claimed and self._believed and self._rng.random() >= s.checked:
+            # Without shaping nothing but verdicts counts.
+            if claimed and s.shaping > 0 and self._claims.believed and self._rng.random() >= s.checked:
                 success[i] = True
             elif (claimed or (ended[i] and self._rng.random() < s.judged_ends)) and (
                 not s.shaping or self._allowed > 0
@@ -242,27 +265,8 @@ class RecoveryEnv:
                 scene.rested = 0
                 self._episodes.limit(scene.simulator)
                 if claimed:
-                    self._heard(bool(success[i]))
+                    self._claims.heard(bool(success[i]))
         return success
-
-    @property
-    def _believed(self) -> bool:
-        s = self.settings
-        # Without shaping nothing but verdicts counts.
-        return s.shaping > 0 and len(self._claims) == LATELY and sum(self._claims) >= s.believed * LATELY
-
-    def _heard(self, confirmed: bool) -> None:
-        """A verdict on a claim: what counts as one is raised and lowered so that in the long run the wanted share
-        holds."""
-        share = self.settings.confirmed
-        self._claims.append(confirmed)
-        self._demand += -STRICTER * (1 - share) / share if confirmed else STRICTER
-        self._demand = float(np.clip(self._demand, 0.0, STRICTEST))
-
-    def _claimed_from(self) -> float:
-        """The probability of success that is a claim now."""
-        worth = self.settings.worth_a_try
-        return worth / (worth + (1 - worth) * float(np.exp(-self._demand)))
 
     def _verdict(self, scene: Scene, features: Float[np.ndarray, " d"]) -> bool:
         succeeded = self._judge(scene.simulator, scene.task.initial)

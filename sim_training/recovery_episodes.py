@@ -16,7 +16,7 @@ from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.core.world import EffortLimited
 from resync_robot.planning.execute import run_skill
-from resync_robot.sim_training.recovery_problem import Problem
+from resync_robot.sim_training.recovery_problem import Problem, Start
 
 
 @dataclass
@@ -43,12 +43,15 @@ class Episodes:
     """Where episodes begin: in failures, in states between failure and freedom, and on the way of earlier successes.
 
     Args:
+        starts: the failures that episodes begin in.
         easier: share of episodes that begin in the latter two, once there are any.
         kept: how many such states are kept of either kind, and scenes that nobody uses.
     """
 
-    def __init__(self, problem: Problem, rng: np.random.Generator, easier: float, kept: int) -> None:
-        self.problem, self._interface, self._rng = problem, problem.interface, rng
+    def __init__(
+        self, problem: Problem, starts: Sequence[Start], rng: np.random.Generator, easier: float, kept: int
+    ) -> None:
+        self.problem, self._interface, self._rng, self._starts = problem, problem.interface, rng, starts
         self._easier, self._kept = easier, kept
         self._period = 1.0 / problem.interface.rate_hz
         self._idle: OrderedDict[int, list[tuple[Task, TrainingSimulator[Any, Any]]]] = OrderedDict()
@@ -65,25 +68,29 @@ class Episodes:
             simulator = self._simulator(task)
             simulator.restore(snapshot)
             return self._scene(task, simulator)
-        for _ in range(10 * len(self.problem.starts)):
-            i = int(self._rng.integers(len(self.problem.starts)))
-            task = self.problem.starts[i].task
+        for _ in range(10 * len(self._starts)):
+            i = int(self._rng.integers(len(self._starts)))
+            task = self._starts[i].task
             simulator = self._simulator(task)
             if i not in self._begun:
-                self._begun[i] = simulator.save() if self._approached(simulator, self.problem.starts[i].state) else None
+                self._begun[i] = simulator.save() if self._approached(simulator, self._starts[i].state) else None
             if self._begun[i] is not None:
                 simulator.restore(self._begun[i])
                 return self._scene(task, simulator)
             self._put_back(task, simulator)
         raise TrainingError(
-            f"none of {len(self.problem.starts)} states stands still in the simulator, or the recovery cannot begin",
+            f"none of {len(self._starts)} states stands still in the simulator, or the recovery cannot begin",
             "check-domain tells more",
         )
 
-    def begin_in(self, task: Task, state: State) -> Scene | None:
-        """An episode in this state, once the robot is where the policy takes over; None where that fails."""
+    def begin_in(self, task: Task, state: State, approach: bool = True) -> Scene | None:
+        """An episode in this state, once the robot is where the policy takes over; None where that fails.
+
+        Args:
+            approach: False where the robot is there already.
+        """
         simulator = self._simulator(task)
-        if self._approached(simulator, state):
+        if self._approached(simulator, state) if approach else simulator.reset(state):
             return self._scene(task, simulator)
         self._put_back(task, simulator)
         return None

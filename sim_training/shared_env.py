@@ -15,9 +15,10 @@ from torch import Tensor
 
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.library import Record
+from resync_robot.core.state import State
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
-from resync_robot.sim_training.recovery_env import RecoveryEnv, Tried, teach
+from resync_robot.sim_training.recovery_env import RecoveryEnv, Tried, Try, teach
 
 
 class SharedEnv:
@@ -92,6 +93,16 @@ class SharedEnv:
         """As `RecoveryEnv.roll_out`, shared out among all parts."""
         self._share("roll_out", count, net.shape, net.to_tensors())
         return [run for part in self._answers() for run in part]
+
+    def judge_in(self, asked: Sequence[tuple[int, State]]) -> list[Try | None]:
+        """As `RecoveryEnv.judge_in`, shared out among all parts."""
+        count = len(self._parts)
+        for i, connection in enumerate(self._connections):
+            self._send(connection, "judge_in", asked[i::count])
+        found: list[Try | None] = [None] * len(asked)
+        for i, answers in enumerate(self._answers()):
+            found[i::count] = answers
+        return found
 
     @property
     def judged(self) -> int:
@@ -177,6 +188,8 @@ def _answer(env: RecoveryEnv, command: str, content: Any) -> Any:
     if command == "roll_out":
         count, shape, tensors = content
         return env.roll_out(ActorCritic.from_record(Record(shape, tensors)), count)
+    if command == "judge_in":
+        return env.judge_in(content)
     if command == "judged":
         return env.judged
     env.model.load(content)

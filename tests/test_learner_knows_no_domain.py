@@ -13,14 +13,24 @@ from resync_robot.sim_training.domains import DOMAINS, find_domain
 
 ROOT = Path(__file__).parents[1]
 LEARNER = ("resync_robot/learning", "resync_robot/planning", "resync_robot/curriculum")
-STEPS = ("ppo", "failure_mining", "recovery_env", "learn_recovery", "shared_env", "dreaming")
+STEPS = (
+    "ppo",
+    "claims",
+    "failure_mining",
+    "recovery_env",
+    "recovery_episodes",
+    "recovery_problem",
+    "recovery_elsewhere",
+    "learn_recovery",
+    "shared_env",
+    "dreaming",
+)
 OF_THE_ARM = {
     # How the arm's recovery sees and acts, by the simulator's state and by camera.
     "resync_robot/learning/recovery_policy.py",
     "resync_robot/learning/camera_view.py",
     "resync_robot/learning/demonstrations.py",
-    # What it learns on a GPU, and by camera.
-    "resync_robot/curriculum/written_reward.py",
+    # What it learns by camera.
     "resync_robot/curriculum/distil.py",
     "resync_robot/curriculum/model_card.py",
 }
@@ -76,7 +86,7 @@ def test_no_domain_is_named(path: Path) -> None:
 def test_a_file_that_names_one_is_found() -> None:
     """The files of the arm do; so would a learner that knew it."""
     arm = next(d for d in _domains() if d.name == "cornered-insertion-s")
-    for name in ("resync_robot/curriculum/written_reward.py", "resync_robot/learning/camera_view.py"):
+    for name in ("sim_training/device_env.py", "resync_robot/learning/camera_view.py"):
         said = set(_said((ROOT / name).read_text(encoding="utf-8")))
         assert said & (words_of(arm) | {"block", "BLOCK_NAMES"}), name
     assert "BLOCK" in set(_said("from x import BLOCK\n")) and "Pick" not in set(_said('"""Pick is a skill."""\n'))

@@ -56,7 +56,7 @@ class TrainConfig:
 
     device: Given[Literal["cpu", "cuda"]] = None
     """Where the arm's recovery and its camera policy are learned; cuda: the recovery in thousands of scenes in
-    ManiSkill, by a reward written by hand. All else runs on the CPU. Default: cpu."""
+    ManiSkill. All else runs on the CPU, the verdicts too. Default: cpu."""
 
     concepts: Given[Literal["default", "paper"]] = None
     """How predicates and operators are learned: this project's choices (default) or the published formulation."""

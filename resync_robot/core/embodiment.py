@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -106,9 +107,12 @@ class Stage:
         horizon: actions after which an attempt to recover is given up.
         interface: how the recovery begins, sees and acts; None: where the failed skill ended, all relations between
             what it is about, and the embodiment's own actions.
+        on_device: (tasks, o^R, the arm's rig, how many, the device) -> a context that yields as many scenes there, to
+            learn in thousands of them; None: in processes only.
     """
 
     recovery: str
     scenario: str
     horizon: int
     interface: RecoveryInterface | None = None
+    on_device: Callable[[Sequence[Task], Object, Any, int, str], AbstractContextManager[Any]] | None = None

@@ -29,7 +29,6 @@ from resync_robot.learning.dataset import StageData
 from resync_robot.learning.failures import FailureModel, PairGaussian
 from resync_robot.learning.model import Concepts
 from resync_robot.library_models import known_concepts, make_library
-from resync_robot.sim_training.ppo import PpoSettings
 
 STEPS = ("mine", "recover", "check", "dream", "discover", "save")
 DISTIL = "distil"
@@ -70,15 +69,6 @@ class Curriculum:
     def steps(self) -> tuple[str, ...]:
         """Of each stage."""
         return (*STEPS[:-1], DISTIL, STEPS[-1]) if self.by_camera else STEPS
-
-    @property
-    def on_gpu(self) -> PpoSettings | None:
-        """The budget of learning an arm's recovery there; None where it is learned in processes."""
-        if self.rig is None or self.device == "cpu":
-            return None
-        from resync_robot.curriculum.written_reward import BUDGETS  # ManiSkill takes seconds to import
-
-        return BUDGETS[self.preset]
 
     @property
     def budgets(self) -> StagePreset:
@@ -204,7 +194,7 @@ class _Stage:
             mined = mine(domain, stage, folder, self._known, seeds, budgets.failures, workers, tell)
         with self._step("recover") as tell:
             trials = c.seeds(number, "recover")[: budgets.checks]
-            record = recover(self._known, stage, folder, budgets, mined, c.seed, trials, workers, tell, c.on_gpu)
+            record = recover(self._known, stage, folder, budgets, mined, c.seed, trials, workers, tell, c.device)
         able = self._known.with_recovery(stage.recovery, record)
         with self._step("check") as tell:
             seeds = c.seeds(number, "check")[: budgets.checks]
@@ -282,7 +272,7 @@ class _Stage:
         folder.record("save", {"content_hash": library.content_hash})
         curve, stop_at = folder.figures("recover")["curve"], c.budgets.recovery.ppo.stop_at
         # Only once the first episodes can have run out of time all count, and not just those that end early.
-        begins = (c.on_gpu or c.budgets.recovery.ppo).scenes * stage.horizon
+        begins = folder.figures("recover").get("scenes", c.budgets.recovery.ppo.scenes) * stage.horizon
         draw_learning_curve(curve, folder.path / "recovery.png", begins, stop_at)
         return library
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,11 @@ from resync_robot.learning.failures import PairGaussian, changed_features, fit_b
 from resync_robot.learning.learned_recovery import FIELDS, SURE, LearnedRecovery
 from resync_robot.learning.terminals import Terminal
 from resync_robot.planning.execute import run_skill
+from resync_robot.sim_training.device_env import open_on_device, scaled_to_device
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import Explanation
 from resync_robot.sim_training.learn_recovery import learn_recovery
 from resync_robot.sim_training.parallel import parallel_map
-from resync_robot.sim_training.ppo import PpoSettings
 from resync_robot.sim_training.recovery_problem import Problem, judge_of, pose_problem
 
 LEAST_RECOVERED = 5
@@ -56,13 +56,13 @@ def recover(
     trials: range,
     workers: int,
     tell: Tell,
-    on_gpu: PpoSettings | None = None,
+    device: str = "cpu",
 ) -> Record:
     """The record of the recovery: learned from what was mined, or read where it is there already. Resumes in between.
 
     Args:
         trials: seeds of the fresh tasks that tell how sure beta_N has to be.
-        on_gpu: an arm learns there, by a written reward, with this budget.
+        device: where the policy is learned, if the stage has scenes there.
 
     Raises:
         TrainingError: it cannot be learned, or a file is damaged.
@@ -74,18 +74,25 @@ def recover(
         def progress(steps: int, budget: int, rate: float) -> None:
             tell(steps / budget, f"success {rate:.3f} after {steps // 1000} k actions")
 
-        if on_gpu is not None and known.rig is not None:
-            from resync_robot.curriculum.written_reward import learn_by_written_reward
-
-            record, figures = learn_by_written_reward(
-                known.rig, mined, seed, workers, checkpoint, progress, on_gpu, "cuda"
-            )
-        else:
-            pose = partial(_pose, known, stage.recovery, folder.path / FAILURES)
-            shared = workers if workers > 1 else 0
-            learned = learn_recovery(pose(), seed, checkpoint, progress, preset.recovery, workers=shared, pose=pose)
-            record, figures = learned.to_record(), learned.figures
-        record = _as_sure_as_needed(known, stage, mined, record, trials, workers)
+        pose = partial(_pose, known, stage.recovery, folder.path / FAILURES)
+        shared = workers if workers > 1 else 0
+        settings, on_device = preset.recovery, None
+        if device != "cpu" and stage.on_device is not None and known.rig is not None:
+            settings = replace(settings, ppo=scaled_to_device(settings.ppo))
+            on_device = partial(open_on_device, make=stage.on_device, rig=known.rig, device=device)
+        learned = learn_recovery(
+            pose(),
+            seed,
+            checkpoint,
+            progress,
+            settings,
+            workers=shared,
+            pose=pose,
+            on_device=on_device,
+            device="cpu" if on_device is None else device,
+        )
+        figures = learned.figures
+        record = _as_sure_as_needed(known, stage, mined, learned.to_record(), trials, workers)
         with whole(weights) as beside:
             save_file({k: np.ascontiguousarray(v) for k, v in record.tensors.items()}, beside)
         write_json(meta, record.meta)

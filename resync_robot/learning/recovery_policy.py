@@ -8,6 +8,7 @@ Everything is batched torch, so that thousands of simulated robots and one real 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -33,6 +34,18 @@ LAG = 0.9
 STUD = 0.012
 LOWEST_TIP = 0.02
 """m above the box floor below which the tip is never sent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressVariety:
+    """What training draws for each run."""
+
+    lag: float = LAG
+    """Most control steps that an arm is behind its commands."""
+    height: tuple[float, float] = (0.002, 0.07)
+    """m over the stud at which the policy takes over, up to a little more than the skill's own approach leaves."""
+    aside: float = 0.012
+    """Most m beside the block's middle, along each axis, at which it does: an approach relies on a scan that errs."""
 
 
 def project(state: State, robot: Object, block: Object, box: Object, commanded: np.ndarray) -> Tensor:

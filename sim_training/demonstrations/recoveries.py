@@ -18,12 +18,11 @@ from resync_robot.core.vocabulary import BOX
 from resync_robot.core.world import Window
 from resync_robot.learning import camera_view, recovery_policy
 from resync_robot.learning.camera_view import PICTURE, VIEWS, Scanned
-from resync_robot.sim_training.demonstrations.starts import Start
+from resync_robot.sim_training.demonstrations.starts import Start, draw_still
+from resync_robot.sim_training.failed_worlds import CONTROL_PERIOD, RECOVERY_TORQUE, FailedWorlds, lagging
 from resync_robot.sim_training.physics.camera_noise import NoisySensor, Tone
 from resync_robot.sim_training.physics.scene import add_camera, build_scene, colour_of, look_through, whole_picture
 from resync_robot.sim_training.physics.world import MOVED, SETTLING
-from resync_robot.sim_training.recovery import FailedWorlds, draw_still, lagging
-from resync_robot.sim_training.vector_env import CONTROL_PERIOD, RECOVERY_TORQUE
 
 FOCAL_SIGMA = 0.005
 """Relative error of a calibrated focal length."""

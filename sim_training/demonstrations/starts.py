@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.core.vocabulary import BLOCK, BOX
+from resync_robot.learning import recovery_policy as view
 from resync_robot.learning.failures import PairGaussian
 from resync_robot.sim_training.physics.randomise import PICTURED, Ranges, draw_physics
 
@@ -68,3 +70,26 @@ def _relative(gaussians: Mapping[str, PairGaussian], kind: float, rng: np.random
     # Headings differ by any number of quarter turns; the failure's own suits a place near the walls.
     near, far = np.sort(before[:2]), np.sort(after[:2])
     return np.concatenate([near + share * (far - near), before[2:]])
+
+
+def draw_still(x: torch.Tensor, random: torch.Generator) -> torch.Tensor:
+    """(n, 27) the states `x` with the block anywhere from its corner to the middle, and a hand at rest over it.
+
+    A policy's own path hardly shows these: a block that is nearly free, and nobody touches it. Yet a deployed skill
+    may begin there, and its terminal function must say whether anything is left to do.
+    """
+    n, still = len(x), x.clone()
+
+    def uniform(*shape: int) -> torch.Tensor:
+        return torch.rand(*shape, generator=random, device=x.device)
+
+    along_x, along_y = view.box_axes(x)
+    block, centre = x[:, view.BLOCK], x[:, view.BOX][:, :2]
+    off = block[:, :2] - centre
+    local = torch.stack([(off * along_x).sum(-1), (off * along_y).sum(-1)], -1) * uniform(n, 2)
+    place = centre + local[:, :1] * along_x + local[:, 1:] * along_y
+    still[:, view.BLOCK.start : view.BLOCK.start + 2] = place
+    over = block[:, 2] + block[:, 9] / 2 + view.STUD
+    planar = place + 0.03 * (2 * uniform(n, 2) - 1)
+    still[:, view.TIP] = still[:, view.COMMANDED] = torch.cat([planar, (over + 0.10 * uniform(n))[:, None]], -1)
+    return still

@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 
 from resync_robot.core.intervals import wilson
 from resync_robot.core.library import load_library
+from resync_robot.core.task import Domain
 from resync_robot.curriculum.distil import SHARD, DistilPlan, distil, make_context
 from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.stage_folder import StageFolder
@@ -46,12 +47,17 @@ def _teaching(plan: DistilPlan) -> tuple[object, ...]:
     return plan.looks, plan.unrecorded_noise, plan.picture
 
 
-def _take_over_demonstrations(name: str, out: Path) -> None:
+def _stage(domain: Domain, name: str, out: Path) -> StageFolder:
+    """Where a variant learns."""
+    return StageFolder(RunFolder(out / name), 1, domain.recovery)
+
+
+def _take_over_demonstrations(domain: Domain, name: str, out: Path) -> None:
     """Copy what the teacher demonstrated for other variants, where this one's would be the same."""
-    plan, inside = VARIANTS[name], Path("stages") / "demonstrations"
+    plan, inside = VARIANTS[name], _stage(domain, name, out).path / "demonstrations"
     for other in (v for v in VARIANTS if v != name and _teaching(VARIANTS[v]) == _teaching(plan)):
-        for shard in (out / other / inside).glob("turn-0-[0-9][0-9][0-9][0-9]"):
-            here = out / name / inside / shard.name
+        for shard in (_stage(domain, other, out).path / "demonstrations").glob("turn-0-[0-9][0-9][0-9][0-9]"):
+            here = inside / shard.name
             if int(shard.name[-4:]) < plan.worlds // SHARD and not here.exists():
                 copytree(shard, here)
 
@@ -77,8 +83,8 @@ def main() -> None:
     record = library.skills[domain.recovery]
     gaussians = gaussians_of(library)
     for name in args.variants:
-        _take_over_demonstrations(name, args.out)
-        plan, folder = VARIANTS[name], StageFolder(RunFolder(args.out / name), 1, domain.recovery)
+        _take_over_demonstrations(domain, name, args.out)
+        plan, folder = VARIANTS[name], _stage(domain, name, args.out)
         files = distil(domain, folder, plan, record, gaussians, 0, args.workers, "cpu", lambda *_: None)
         result: dict[str, object] = {"variant": name}
         with TemporaryDirectory() as student:

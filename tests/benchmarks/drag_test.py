@@ -27,10 +27,9 @@ from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.learning import recovery_policy as view
 from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.failed_worlds import CONTROL_PERIOD, RECOVERY_TORQUE, FailedWorlds
 from resync_robot.sim_training.physics.scene import build_scene
 from resync_robot.sim_training.physics.solver import REFERENCE, SHIPPED, Solver, with_solver
-from resync_robot.sim_training.recovery import FailedWorlds
-from resync_robot.sim_training.vector_env import CONTROL_PERIOD, RECOVERY_TORQUE
 
 B0 = BLOCK("b0")
 DRAG, DEEP = 0.060, (0.010, 0.030)

@@ -15,8 +15,9 @@ import torch
 from resync_robot.core.errors import TrainingError
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
+from resync_robot.sim_training.claims import LATELY
 from resync_robot.sim_training.ppo import PpoSettings, train_policy
-from resync_robot.sim_training.recovery_env import AT_ONCE, LATELY, JudgedSettings, RecoveryEnv
+from resync_robot.sim_training.recovery_env import AT_ONCE, JudgedSettings, RecoveryEnv
 from resync_robot.sim_training.recovery_problem import Start
 from resync_robot.sim_training.shared_env import SharedEnv
 from tests.sim_training.sliding import GRIP, HELD, JUDGE, Rail, S, attempts, problem, see, task_at

@@ -7,13 +7,16 @@ block does). Nothing here says so: the given model is oblivious, and the physics
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from resync_robot.core import spatial
 from resync_robot.core.embodiment import Stage
 from resync_robot.core.relations import moved, seen
+from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object, Operator, Predicate, Type, Variable
 from resync_robot.core.task import Domain, Scenario, Task
@@ -22,6 +25,9 @@ from resync_robot.sim_training.domains.cornered_insertion_s.corner import RELATI
 from resync_robot.sim_training.domains.cornered_insertion_s.layouts import THE_BOX, Layout, sample_task
 from resync_robot.sim_training.physics.parts import CLEARANCE
 from resync_robot.sim_training.physics.randomise import PRACTICE, UNSEEN, USUAL, Ranges
+
+if TYPE_CHECKING:
+    from resync_robot.sim_training.domains.cornered_insertion_s.maniskill_env import ManiSkillScenes
 
 HAND_EMPTY = Predicate("HandEmpty", (ROBOT,))
 HOLDING = Predicate("Holding", (ROBOT, BLOCK))
@@ -235,13 +241,22 @@ SCENARIOS = (
 )
 
 
+def _on_device(
+    tasks: Sequence[Task], block: Object, rig: Rig, count: int, device: str
+) -> AbstractContextManager[ManiSkillScenes]:
+    """Scenes of failures by the thousand."""
+    from resync_robot.sim_training.domains.cornered_insertion_s.maniskill_env import ManiSkillScenes  # takes seconds
+
+    return ManiSkillScenes(tasks, block, rig, count, device)
+
+
 CORNERED_INSERTION_S = Domain(
     name="cornered-insertion-s",
     types=(ROBOT, BLOCK, BOX),
     predicates=(HAND_EMPTY, HOLDING, ON),
     classifiers={"HandEmpty": hand_empty, "Holding": holding, "On": on},
     operators=(PICK, INSERT, PLACE),
-    stages=(Stage(recovery="Recover", scenario="s0", horizon=80),),
+    stages=(Stage(recovery="Recover", scenario="s0", horizon=80, on_device=_on_device),),
     instruction="Drag the block out of the corner of the box.",
     free=free_task,
     dream=dream_task,

@@ -1,8 +1,10 @@
 """Cornered Insertion-S as a ManiSkill environment, so that a GPU steps thousands of failed worlds at once.
 
-The bodies come from `scene`, the MDP (starts, states, reward, success) from `recovery` and `recovery_policy`: this file
-only puts them where ManiSkill expects them. Every parallel environment is built from a task of its own, so sizes,
-friction, masses and gains differ between them; they stay as built, since ManiSkill cannot rebuild one of many.
+The bodies come from `scene`, states and actions from `failed_worlds` and `recovery_policy`: this file only puts them
+where ManiSkill expects them. When a recovery is done nobody wrote down: the planner's verdicts taught it, so the
+environment has its success from beta_N of a library, and no other reward. Every parallel environment is built from a
+task of its own, so sizes, friction, masses and gains differ between them; they stay as built, since ManiSkill cannot
+rebuild one of many.
 
     import gymnasium
     import resync_robot.sim_training.domains.cornered_insertion_s.maniskill_env  # registers the environment
@@ -14,7 +16,9 @@ tests drive the CPU back end, which ManiSkill limits to one environment a proces
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,22 +34,23 @@ from mani_skill.utils.structs.types import GPUMemoryConfig, SceneConfig, SimConf
 from torch import Tensor
 
 from resync_robot.core.errors import TrainingError
+from resync_robot.core.library import Record, load_library
 from resync_robot.core.rig import Rig, load_rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.learning import recovery_policy as view
+from resync_robot.learning.terminals import Terminal
 from resync_robot.sim_training.domains.cornered_insertion_s.domain import CORNERED_INSERTION_S
 from resync_robot.sim_training.domains.cornered_insertion_s.maniskill_robot import Ur7e2f140
+from resync_robot.sim_training.failed_worlds import CONTROL_PERIOD, FailedWorlds
 from resync_robot.sim_training.physics.scene import add_block, add_box, add_table
 from resync_robot.sim_training.physics.solver import SHIPPED, solver_of
-from resync_robot.sim_training.recovery import FailedWorlds, RecoverySettings, reward
-from resync_robot.sim_training.vector_env import CONTROL_PERIOD
 
 ENVIRONMENT = "ResyncCorneredInsertionS-v1"
 
 
-@register_env(ENVIRONMENT, max_episode_steps=RecoverySettings().horizon)
+@register_env(ENVIRONMENT, max_episode_steps=CORNERED_INSERTION_S.stages[0].horizon)
 class CorneredInsertionEnv(BaseEnv):
     """The recovery MDP of a cornered block: 10 Hz, 3-D tip motions in [-1, 1] in, (n, 19) relational observations out.
 
@@ -55,8 +60,7 @@ class CorneredInsertionEnv(BaseEnv):
         tasks: worlds, environment i being built from tasks[i % len(tasks)]; left out: training tasks of the domain,
             drawn from the seeds of the reset that builds the scene.
         block: the cornered block.
-        settings: reward, success, and what ends an episode.
-        gamma: discount of the potential-based shaping.
+        done: (n, 19) observations -> (n,) is there nothing left to do? Left out: as the shipped library has it.
         render_backend: "none" builds no visuals; otherwise as ManiSkill has it.
 
     Raises:
@@ -65,15 +69,14 @@ class CorneredInsertionEnv(BaseEnv):
 
     SUPPORTED_ROBOTS = (Ur7e2f140.uid,)
     SUPPORTED_OBS_MODES = ("state", "state_dict", "none")
-    SUPPORTED_REWARD_MODES = ("dense", "sparse", "none")
+    SUPPORTED_REWARD_MODES = ("sparse", "none")
 
     def __init__(
         self,
         *args: Any,
         tasks: Sequence[Task] | None = None,
         block: Object | None = None,
-        settings: RecoverySettings | None = None,
-        gamma: float = 0.98,
+        done: Callable[[Tensor], Tensor] | None = None,
         robot_uids: str = Ur7e2f140.uid,
         render_backend: str = "none",
         **kwargs: Any,
@@ -85,7 +88,7 @@ class CorneredInsertionEnv(BaseEnv):
             raise TrainingError("parallel environments step as one: their physics must have one period and one inertia")
         self._solver = next(iter(solvers), SHIPPED)
         self._given, self.block = tasks, block or BLOCK("b0")
-        self.settings, self.gamma, self.rig = settings or RecoverySettings(), gamma, load_rig()
+        self._done, self.rig = done or _shipped_done(), load_rig()
         super().__init__(*args, robot_uids=robot_uids, render_backend=render_backend, **kwargs)
         # What a user sends is a tip motion; the agent's own space is that of its joints.
         self.single_action_space = spaces.Box(-1.0, 1.0, (view.ACTION_SIZE,), np.float32)
@@ -138,9 +141,6 @@ class CorneredInsertionEnv(BaseEnv):
         self._everyone = torch.arange(self.num_envs, device=self.device)
         self._commanded = torch.zeros(self.num_envs, 3, device=self.device)
         self.x = torch.zeros(self.num_envs, view.PROJECTED_SIZE, device=self.device)
-        self._gained = torch.zeros(self.num_envs, device=self.device)
-        self._success = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-        self._failed = self._success.clone()
 
     def _view(self, obj: Object, entities: list[sapien.Entity]) -> Actor:
         """One batched handle on the bodies of `obj` in all parallel worlds."""
@@ -177,7 +177,7 @@ class CorneredInsertionEnv(BaseEnv):
         else:
             # ManiSkill seeds torch's own generator before it calls this.
             seed = int(torch.randint(2**31, (1,)))
-            poses, q, _ = self.worlds.draw_starts(env_idx, torch.Generator(self.device).manual_seed(seed))
+            poses, q = self._failures(env_idx, torch.Generator(self.device).manual_seed(seed))
         qpos = torch.zeros(len(env_idx), self.agent.robot.max_dof, device=self.device)
         qpos[:, self.agent.arm_index] = q.float()
         self.agent.robot.set_pose(self.agent.base)
@@ -190,7 +190,16 @@ class CorneredInsertionEnv(BaseEnv):
                         body.wake_up()
         self._commanded[env_idx] = self.worlds.tip_at(q)
         self.x[env_idx] = self._measure()[env_idx]
-        self._gained[env_idx], self._success[env_idx], self._failed[env_idx] = 0.0, False, False
+
+    def _failures(self, which: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
+        """(k, 7) poses of the block where the skill failed, and (k, 6) joints that put the tip over it."""
+        variety, block = view.PressVariety(), self.worlds.failures[which][:, view.BLOCK]
+        drawn = torch.rand(len(which), 3, generator=random, device=self.device)
+        tip = block[:, :3].clone()
+        tip[:, :2] += variety.aside * (2 * drawn[:, :2] - 1)
+        low, high = variety.height
+        tip[:, 2] += block[:, 9] / 2 + view.STUD + low + (high - low) * drawn[:, 2]
+        return block[:, :7].double(), self.worlds.joints_at(tip, which)
 
     # -- the MDP -------------------------------------------------------------------------------------------------------
 
@@ -202,25 +211,31 @@ class CorneredInsertionEnv(BaseEnv):
         if action is None:
             action = torch.zeros(self.num_envs, view.ACTION_SIZE, device=self.device)
         action = common.to_tensor(action, device=self.device).float().reshape(self.num_envs, view.ACTION_SIZE)
-        previous = self.x
-        self._commanded = view.commanded_tip(previous, action)
+        self._commanded = view.commanded_tip(self.x, action)
         self.drive(self.worlds.joints_at(self._commanded, self._everyone))
         self.x = self._measure()
-        self._gained, self._success, self._failed = reward(self.x, previous, self.gamma, self.settings)
         return action
 
     def evaluate(self) -> dict[str, Tensor]:
-        return {"success": self._success.clone(), "fail": self._failed.clone()}
-
-    def compute_dense_reward(self, obs: Any, action: Tensor, info: dict[str, Any]) -> Tensor:
-        return self._gained
+        with torch.no_grad():
+            return {"success": self._done(view.observe(self.x)).bool()}
 
     def _get_obs_state_dict(self, info: dict[str, Any]) -> dict[str, Tensor]:
         return {"observation": view.observe(self.x)}
 
 
+def _shipped_done() -> Callable[[Tensor], Tensor]:
+    """Beta_N of the shipped recovery."""
+    library = load_library(Path(str(files("resync_robot"))) / "shipped" / CORNERED_INSERTION_S.name)
+    record = library.skills[CORNERED_INSERTION_S.recovery]
+    weights = {k.removeprefix("terminal."): v for k, v in record.tensors.items() if k.startswith("terminal.")}
+    terminal = Terminal.from_record(Record(record.meta["terminal"], weights))
+    sure = float(record.meta.get("sure", 0.5))
+    return lambda seen: terminal.probability(seen.cpu()).to(seen.device) > sure
+
+
 class ManiSkillScenes:
-    """The scenes of `RecoveryEnv` on a device: the interface of `RecoveryScenes` in tensors.
+    """The scenes of `DeviceEnv`, in tensors on a device.
 
     A scene keeps the world that it was built from.
 
@@ -236,7 +251,7 @@ class ManiSkillScenes:
 
     def __init__(self, tasks: Sequence[Task], block: Object, rig: Rig, count: int, device: str) -> None:
         if device == "cpu" and count > 1:
-            raise TrainingError(f"ManiSkill steps one scene on the CPU, not {count}", "use RecoveryScenes, or a GPU")
+            raise TrainingError(f"ManiSkill steps one scene on the CPU, not {count}", "use a GPU")
         if rig.hash != load_rig().hash:
             raise TrainingError(f"ManiSkill's scenes are built for the simulated rig, not for '{rig.name}'")
         self.tasks, self.block, self.count = tasks, block, count

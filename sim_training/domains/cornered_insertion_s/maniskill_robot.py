@@ -18,9 +18,9 @@ from torch import Tensor
 
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.rig import load_rig
+from resync_robot.sim_training.failed_worlds import RECOVERY_TORQUE
 from resync_robot.sim_training.physics.scene import FINGER_JOINTS, TARGET_PERIOD, BuiltScene, add_robot, urdf_path
 from resync_robot.sim_training.physics.solver import solver_of
-from resync_robot.sim_training.vector_env import RECOVERY_TORQUE
 
 _PARKED = 1.0
 """m over its place at which the arm is built: ManiSkill asks that nothing overlaps while the GPU starts up."""
