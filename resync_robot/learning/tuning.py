@@ -42,6 +42,7 @@ class TuneConfig:
     rate: float = 0.1
     """Share of the learning rate with which it was trained."""
     epochs: int = 10
+    """0: it stays as it was."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,7 @@ def tune(
     steps = steps_in_epoch(2 * min(map(len, labels)), fit_config)
     rate = config.rate * fit_config.learning_rate
     optimiser = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=fit_config.weight_decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, config.epochs * steps)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, max(1, config.epochs * steps))
     before = after = losses()
     best = copy.deepcopy(net)
     for _ in range(config.epochs):
