@@ -267,6 +267,8 @@ def _scenarios(given: Sequence[str], domain: Domain) -> tuple[str, ...]:
 def _parse(entry: Any) -> tuple[Job, EpisodeRow]:
     """A row of a file that an earlier evaluation left. Raises KeyError, TypeError or ValueError."""
     check_shape(entry, EPISODE)
+    if not isinstance(entry.get("steps"), int | None):
+        raise ValueError(f"'steps' is {entry['steps']!r}, and should be a number")
     row = EpisodeRow(**{**entry, "skills_run": tuple(entry["skills_run"])})
     return Job(row.library, row.method, row.scenario, row.seed, row.episode), row
 
@@ -403,4 +405,5 @@ def _run(context: _Context, job: Job) -> EpisodeRow:
         planning_s=notes.planning_s,
         seconds=time.monotonic() - begun,
         skills_run=tuple(notes.skills),
+        steps=result.steps,
     )

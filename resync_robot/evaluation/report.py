@@ -32,6 +32,7 @@ class EpisodeRow:
         planning_s: the slowest planning of the episode, s.
         seconds: the whole episode's wall time, s.
         skills_run: every skill that was started, in order, such as "Pick(r, b1)".
+        steps: control steps that it took; None where an earlier version did not count them.
     """
 
     library: int
@@ -46,6 +47,7 @@ class EpisodeRow:
     planning_s: float
     seconds: float
     skills_run: tuple[str, ...]
+    steps: int | None = None
 
 
 EPISODE: Shape = {

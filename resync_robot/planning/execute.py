@@ -79,13 +79,14 @@ class EpisodeEnd(Enum):
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """How an episode ended, and every attempt it made."""
+    """How an episode ended, every attempt it made, and the control steps of all skills together."""
 
     end: EpisodeEnd
     reason: str
     transitions: tuple[Transition, ...]
     plans: tuple[Plan, ...]
     final: State
+    steps: int = 0
 
     @property
     def success(self) -> bool:
@@ -326,7 +327,7 @@ class _Episode:
 
     def ended(self, end: EpisodeEnd, why: str = "") -> EpisodeResult:
         self._listener.on_end(end, why)
-        return EpisodeResult(end, why, tuple(self._transitions), tuple(self._plans), self.state)
+        return EpisodeResult(end, why, tuple(self._transitions), tuple(self._plans), self.state, self._steps)
 
 
 def begin_after(

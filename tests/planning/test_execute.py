@@ -194,7 +194,8 @@ def test_an_episode_ends_at_its_horizon_of_control_steps() -> None:
     assert (result.end, result.reason) == (EpisodeEnd.EXHAUSTED, "3 control steps were taken")
     assert [t.succeeded for t in result.transitions] == [True, False], "the second skill was cut short"
     world = kitchen()
-    assert plan_and_execute(world, model(world), GOAL, ExecuteSettings(horizon=6)).success
+    longer = plan_and_execute(world, model(world), GOAL, ExecuteSettings(horizon=6))
+    assert longer.success and result.steps == 3 and longer.steps == 6
 
 
 def test_a_declined_step_stops_the_episode_before_it_moves() -> None:

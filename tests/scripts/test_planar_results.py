@@ -51,6 +51,18 @@ def test_seeds_are_summed_and_measured_again_replaced(script: ModuleType) -> Non
     assert "| 1 | 0.40 [0.28, 0.54] of 50 | 0.76 |" in shown
 
 
+def test_successes_within_the_paper_s_horizon_are_of_the_same_episodes(script: ModuleType) -> None:
+    counted = evaluation(48)
+    about = {k: counted["rows"][0][k] for k in ("method", "scenario", "seed")}
+    counted["episodes"] = [{**about, "success": i < 48, "steps": 100 + 4 * i} for i in range(50)]
+    (row,) = script.rows_of(counted, 1, 0)
+    assert row["sooner"] == 26
+    shown = script.tables({"rows": [row], "paper": {"blocked-stacking": {"1": {"1": "0.76"}}}})
+    assert "| scenario | this program | within 200 | paper |" in shown and "| 0.52 | 0.76 |" in shown
+    counted["episodes"][0]["steps"] = None
+    assert "sooner" not in script.rows_of(counted, 1, 0)[0], "an earlier version did not count"
+
+
 def test_a_page_without_marks_is_left_alone(script: ModuleType) -> None:
     with pytest.raises(SystemExit, match="has no line"):
         script.written("# Results\n", "")
