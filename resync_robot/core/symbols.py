@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 from resync_robot.core.errors import PlanningError
@@ -172,21 +173,33 @@ Atoms = frozenset[Atom]
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """What a skill needs and what it changes, lifted. The name is the skill's name (one operator a skill)."""
+    """What a skill needs and what it changes, lifted. The name is the skill's name (one operator a skill).
+
+    Attributes:
+        delete_all: universally quantified delete effects: atoms with variables that are no parameters, and stand for
+            every object there is. A hand that punches lets go of whatever it holds.
+    """
 
     name: str
     parameters: tuple[Variable, ...]
     preconditions: Atoms = frozenset()
     add: Atoms = frozenset()
     delete: Atoms = frozenset()
+    delete_all: Atoms = frozenset()
 
     def __post_init__(self) -> None:
         free = {t for a in self.preconditions | self.add | self.delete for t in a.args} - set(self.parameters)
         if free:
             raise PlanningError(f"operator {self.name}: {sorted(t.name for t in free)} are not among its parameters")
+        if bound := [str(a) for a in self.delete_all if set(a.args) <= set(self.parameters)]:
+            raise PlanningError(f"operator {self.name}: {sorted(bound)} have no variable that stands for every object")
 
-    def ground(self, objects: Sequence[Object]) -> GroundOperator:
-        """Bind the parameters to `objects`, in order. Raises PlanningError on wrong number or type."""
+    def ground(self, objects: Sequence[Object], among: Sequence[Object] = ()) -> GroundOperator:
+        """Bind the parameters to `objects`, in order. Raises PlanningError on wrong number or type.
+
+        Args:
+            among: every object there is, for what the operator deletes of all of them.
+        """
         if len(objects) != len(self.parameters) or any(
             o.type != v.type for o, v in zip(objects, self.parameters, strict=False)
         ):
@@ -197,18 +210,24 @@ class Operator:
         def bind(atoms: Atoms) -> Atoms:
             return frozenset(a.substitute(binding) for a in atoms)
 
-        return GroundOperator(self, tuple(objects), bind(self.preconditions), bind(self.add), bind(self.delete))
+        swept = frozenset(a for atom in bind(self.delete_all) for a in _instances(atom, among))
+        return GroundOperator(self, tuple(objects), bind(self.preconditions), bind(self.add), bind(self.delete), swept)
 
 
 @dataclass(frozen=True, slots=True)
 class GroundOperator:
-    """An operator applied to objects."""
+    """An operator applied to objects.
+
+    Attributes:
+        swept: what it deletes of every object there is, as far as it was told which there are.
+    """
 
     operator: Operator
     objects: tuple[Object, ...]
     preconditions: Atoms
     add: Atoms
     delete: Atoms
+    swept: Atoms = frozenset()
 
     @property
     def name(self) -> str:
@@ -219,7 +238,7 @@ class GroundOperator:
 
     def apply(self, atoms: Atoms) -> Atoms:
         """Successor state: deletes first, then adds, as pyperplan does."""
-        return (atoms - self.delete) | self.add
+        return (atoms - self.delete - self.swept) | self.add
 
     def lift(self) -> Operator:
         """The lifted operator again; the inverse of `Operator.ground`."""
@@ -229,10 +248,19 @@ class GroundOperator:
             return frozenset(a.substitute(back) for a in atoms)
 
         op = self.operator
-        return Operator(op.name, op.parameters, unbind(self.preconditions), unbind(self.add), unbind(self.delete))
+        return Operator(
+            op.name, op.parameters, unbind(self.preconditions), unbind(self.add), unbind(self.delete), op.delete_all
+        )
 
     def __str__(self) -> str:
         return f"{self.name}({', '.join(map(str, self.objects))})"
+
+
+def _instances(atom: Atom, among: Sequence[Object]) -> list[Atom]:
+    """The atom with every object in place of each variable that is left."""
+    free = list(dict.fromkeys(t for t in atom.args if isinstance(t, Variable)))
+    chosen = product(*([o for o in among if o.type == v.type] for v in free))
+    return [atom.substitute(dict(zip(free, objects, strict=True))) for objects in chosen]
 
 
 def distinct_products(pools: Sequence[Sequence[Object]]) -> list[tuple[Object, ...]]:

@@ -32,7 +32,7 @@ from resync_robot.learning.effects import Candidate, affordances, candidates, su
 from resync_robot.learning.features import gather
 from resync_robot.learning.fit import COMPACT, PAPER, SCREENING, Fit, FitConfig, fit
 from resync_robot.learning.model import Concepts, GivenModel, assemble, known_model, quantifications
-from resync_robot.learning.operators import Evidence, OperatorConfig, evidence, explained_failures
+from resync_robot.learning.operators import Evidence, OperatorConfig, evidence, explained_failures, swept
 from resync_robot.learning.outcome_counts import experience
 from resync_robot.learning.select import PAPER_J, Concept, SelectConfig, Selector, select
 from resync_robot.learning.tuning import TuneConfig, tune_known
@@ -129,7 +129,14 @@ def learn_concepts(
     for candidate, fitted in kept:
         pool.add_learned(candidate, fitted)
     selector = Selector(
-        dataset, truth, columns, parameters, {op.name: op for op in before.operators}, config.select, config.operators
+        dataset,
+        truth,
+        columns,
+        parameters,
+        {op.name: op for op in before.operators},
+        config.select,
+        config.operators,
+        swept(dataset, truth, before.predicates, parameters) if config.mode == "default" else None,
     )
     selection = select(selector, pool.concepts, progress)
     progress("concepts learned", 1.0)

@@ -270,6 +270,7 @@ def _renamed(operator: Operator, names: Mapping[str, Predicate]) -> Operator:
         preconditions=atoms(operator.preconditions),
         add=atoms(operator.add),
         delete=atoms(operator.delete),
+        delete_all=atoms(operator.delete_all),
     )
 
 
@@ -285,6 +286,7 @@ def _changes(before: Iterable[Operator], after: Iterable[Operator]) -> list[str]
             ("needs", op.preconditions, old.preconditions if old else frozenset()),
             ("achieves", op.add, old.add if old else frozenset()),
             ("destroys", op.delete, old.delete if old else frozenset()),
+            ("destroys of everything", op.delete_all, old.delete_all if old else frozenset()),
         ):
             lines += [f"{op.name} {what} {a}" for a in sorted(now - was)]
             lines += [f"{op.name} no longer {what} {a}" for a in sorted(was - now)]

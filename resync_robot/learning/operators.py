@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 from jaxtyping import Bool, Int8
@@ -53,6 +53,8 @@ class Column:
     stage: np.ndarray
 
 
+MIN_SWEPT, USUALLY = 5, 0.5
+"""A skill ends something of every object where so many successes could show it, and more than this share did."""
 MIN_EXPLAINED = 5
 MAX_EXCEPTIONS = 0.01
 """A condition accounts for failures when it was missing in so many, and in at most this share of the successes."""
@@ -114,6 +116,65 @@ def evidence(
         )
         for skill, variables in parameters.items()
     }
+
+
+def swept(
+    dataset: Dataset,
+    truth: Sequence[Atoms],
+    predicates: Iterable[Predicate],
+    parameters: Mapping[str, Sequence[Variable]],
+) -> dict[str, Atoms]:
+    """What each skill ends of objects that it does not name: lifted atoms, some of whose variables are no parameters.
+
+    Args:
+        truth: for each moment the atoms that hold.
+        parameters: skill name -> its variables.
+    """
+    steps: dict[str, list[Step]] = {name: [] for name in parameters}
+    for run in dataset.runs:
+        for step in run.steps:
+            steps[step.skill].append(step)
+    by_predicate = [{p: _of(atoms, p) for p in predicates} for atoms in truth]
+    found: dict[str, Atoms] = {}
+    for skill, variables in parameters.items():
+        atoms = [a for p in predicates for a in _patterns(p, variables)]
+        found[skill] = frozenset(a for a in atoms if _ends(a, variables, steps[skill], by_predicate))
+    return found
+
+
+def _of(atoms: Atoms, predicate: Predicate) -> Atoms:
+    return frozenset(a for a in atoms if a.predicate == predicate)
+
+
+def _patterns(predicate: Predicate, parameters: Sequence[Variable]) -> list[Atom]:
+    """Every way to apply the predicate to at least one parameter and at least one object that is none."""
+    free = [Variable(f"?any{i}", t) for i, t in enumerate(predicate.types)]
+    ways = product(*([f, *(v for v in parameters if v.type == f.type)] for f in free))
+    chosen = [w for w in ways if any(t in free for t in w) and any(t not in free for t in w)]
+    return [predicate(*w) for w in chosen if len(set(w)) == len(w)]
+
+
+def _ends(
+    pattern: Atom,
+    parameters: Sequence[Variable],
+    steps: Sequence[Step],
+    truth: Sequence[Mapping[Predicate, Atoms]],
+) -> bool:
+    """Whether most successes leave nothing of it: of other objects, and of those that the skill names neither."""
+    of_others, of_named = [], []
+    for step in steps:
+        binding = dict(zip(parameters, step.objects, strict=True))
+        fixed = [binding.get(t) if isinstance(t, Variable) else t for t in pattern.args]
+        there, then = (truth[m][pattern.predicate] for m in (step.before, step.after))
+        before = [a for a in there if all(f in (None, o) for f, o in zip(fixed, a.args, strict=True))]
+        others = [a for a in before if not set(a.args) <= set(step.objects)]
+        named = [a for a in before if set(a.args) <= set(step.objects)]
+        if others:
+            of_others.append(not any(a in then for a in others))
+        if named:
+            of_named.append(not any(a in then for a in named))
+    enough = len(of_others) >= MIN_SWEPT and np.mean(of_others) > USUALLY
+    return bool(enough and (not of_named or np.mean(of_named) > USUALLY))
 
 
 def explained_failures(dataset: Dataset, columns: Sequence[Evidence], learned: Collection[Predicate] = ()) -> set[Step]:

@@ -10,7 +10,7 @@ nodes picks junk such as "was picked before". The published J weighs node counts
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -122,6 +122,7 @@ class Selector:
         given_evidence: columns of the given predicates.
         parameters: skill name -> its variables.
         fallback: given operators, used for skills that never succeeded in the data.
+        swept: what each skill ends of every object there is.
     """
 
     def __init__(
@@ -133,16 +134,17 @@ class Selector:
         fallback: Mapping[str, Operator],
         config: SelectConfig,
         operator_config: OperatorConfig,
+        swept: Mapping[str, Atoms] | None = None,
     ) -> None:
         self.dataset, self.given, self.given_evidence = dataset, given, given_evidence
         self.parameters, self.fallback = parameters, fallback
-        self.config, self.operator_config = config, operator_config
+        self.config, self.operator_config, self.swept = config, operator_config, swept or {}
         # A single attempt aims at no goal, so it shows no way to one.
         self.demonstrations = [r for r in dataset.runs if r.solved and r.steps and r.source != ATTEMPT]
         self.failures = [s for r in dataset.runs for s in r.failures]
         self.successes = [s for r in dataset.runs for s in r.steps]
         self._memory: dict[tuple[Operator, ...], dict[tuple[object, ...], tuple[Plan, ...]]] = {}
-        self._grounded: dict[tuple[Operator, tuple[Object, ...]], GroundOperator] = {}
+        self._grounded: dict[tuple[Operator, tuple[Object, ...], tuple[Object, ...]], GroundOperator] = {}
 
     def operators(self, concepts: Sequence[Concept]) -> tuple[Operator, ...]:
         """Learned from the data with the given predicates and these concepts."""
@@ -151,7 +153,7 @@ class Selector:
             columns = [c for e in [*self.given_evidence, *(k.evidence for k in concepts)] for c in e[skill]]
             learned = learn_operator(skill, variables, columns, self.operator_config) or self.fallback.get(skill)
             if learned is not None:
-                result.append(learned)
+                result.append(replace(learned, delete_all=self.swept.get(skill, learned.delete_all)))
         return tuple(result)
 
     def score(self, concepts: Sequence[Concept]) -> Score:
@@ -184,10 +186,12 @@ class Selector:
     def _atoms(self, moment: int, concepts: Sequence[Concept]) -> Atoms:
         return self.given[moment].union(*(k.truth[moment] for k in concepts))
 
-    def _ground(self, operator: Operator, objects: tuple[Object, ...]) -> GroundOperator:
-        key = (operator, objects)
+    def _ground(
+        self, operator: Operator, objects: tuple[Object, ...], among: tuple[Object, ...] = ()
+    ) -> GroundOperator:
+        key = (operator, objects, among)
         if key not in self._grounded:
-            self._grounded[key] = operator.ground(objects)
+            self._grounded[key] = operator.ground(objects, among)
         return self._grounded[key]
 
     def _leads_to(self, run: Run, operators: Sequence[Operator], atoms: Atoms) -> bool:
@@ -196,7 +200,7 @@ class Selector:
         for step in run.steps:
             if step.skill not in by_name:
                 return False
-            ground = self._ground(by_name[step.skill], step.objects)
+            ground = self._ground(by_name[step.skill], step.objects, run.objects)
             if not ground.applicable(atoms):
                 return False
             atoms = ground.apply(atoms)

@@ -95,7 +95,7 @@ class AtomBeliefs:
 
     def _expect(self, step: GroundOperator, outcome: SkillOutcome, success: float) -> None:
         """What the step brings about is so with the probability of its success, or was so before, given its word."""
-        for atom in step.delete - step.add:
+        for atom in (step.delete | step.swept) - step.add:
             self._evidence.pop(atom, None)
         if outcome.ending is SkillEnd.REFUSED:
             return
@@ -109,7 +109,7 @@ class AtomBeliefs:
         """Bayes' rule for each learned precondition that the step leaves alone: how likely was this if it was true, and
         if it was not?"""
         lucky = self._settings.lucky
-        for atom in self._learned(before.keys() - step.add - step.delete):
+        for atom in self._learned(before.keys() - step.add - step.delete - step.swept):
             others = math.prod(p for a, p in before.items() if a != atom)
             well = success * others + lucky * (1 - others)
             ratio = well / lucky if came_true else (1 - well) / (1 - lucky)

@@ -10,7 +10,9 @@ from resync_robot.core.symbols import Atom, Atoms, Object, Operator, Predicate, 
 
 Tree = str | list["Tree"]
 NAME = re.compile(r"[A-Za-z][\w-]*")
-REQUIREMENTS = "(:requirements :strips :typing)"
+REQUIREMENTS = ":strips :typing"
+FOR_ALL = ":conditional-effects"
+"""What PDDL calls a language with effects on every object."""
 
 
 def domain_to_pddl(
@@ -30,7 +32,7 @@ def domain_to_pddl(
     _check_names([(kind, named.name) for kind, those in kinds.items() for named in those])
     lines = [
         f"(define (domain {_checked(name)})",
-        f"  {REQUIREMENTS}",
+        f"  (:requirements {' '.join([REQUIREMENTS, *([FOR_ALL] if any(o.delete_all for o in operators) else [])])})",
         f"  (:types {' '.join(t.name for t in types)})",
         "  (:predicates",
         *(f"    ({_typed(p.name, _variables(p))})" for p in predicates),
@@ -44,6 +46,7 @@ def domain_to_pddl(
 def operator_to_pddl(op: Operator) -> str:
     """One action of a domain."""
     effects = [_atom(a) for a in sorted(op.add)] + [f"(not {_atom(a)})" for a in sorted(op.delete)]
+    effects += [_of_all(a, op.parameters) for a in sorted(op.delete_all)]
     return "\n".join(
         [
             f"(:action {op.name}",
@@ -54,6 +57,12 @@ def operator_to_pddl(op: Operator) -> str:
             ")",
         ]
     )
+
+
+def _of_all(atom: Atom, parameters: Iterable[Variable]) -> str:
+    """A universally quantified delete effect."""
+    free = [t for t in dict.fromkeys(atom.args) if isinstance(t, Variable) and t not in set(parameters)]
+    return f"(forall ({_typed('', free).strip()}) (not {_atom(atom)}))"
 
 
 def object_names(
@@ -146,10 +155,37 @@ def _read_action(section: Tree, types: Mapping[str, Type], predicates: Mapping[s
     parameters = _read_variables(parts[":parameters"], types, name)
     known = {v.name: v for v in parameters}
     needed, forbidden = _read_literals(parts.get(":precondition", []), known, predicates, name)
-    add, delete = _read_literals(parts.get(":effect", []), known, predicates, name)
+    effect, delete_all = _read_of_all(parts.get(":effect", []), types, known, predicates, name)
+    add, delete = _read_literals(effect, known, predicates, name)
     if forbidden:
         raise PlanningError(f"action {name} has a negative precondition; use a predicate of its own for the negation")
-    return Operator(name, parameters, needed, add, delete)
+    return Operator(name, parameters, needed, add, delete, delete_all)
+
+
+def _read_of_all(
+    tree: Tree,
+    types: Mapping[str, Type],
+    known: Mapping[str, Variable],
+    predicates: Mapping[str, Predicate],
+    where: str,
+) -> tuple[Tree, Atoms]:
+    """What is left of an effect without its (forall (?x - TYPE) (not ATOM)), and those atoms."""
+    if not isinstance(tree, list) or not tree or tree[0] != "and":
+        return tree, frozenset()
+    rest: list[Tree] = []
+    swept: set[Atom] = set()
+    for literal in tree:
+        if not (isinstance(literal, list) and literal and literal[0] == "forall"):
+            rest.append(literal)
+            continue
+        if len(literal) != 3:
+            raise PlanningError(f"action {where}: 'forall' takes variables and one effect")
+        free = {v.name: v for v in _read_variables(literal[1], types, where)}
+        added, removed = _read_literals(literal[2], {**known, **free}, predicates, where)
+        if added:
+            raise PlanningError(f"action {where}: only 'not' may stand behind 'forall'")
+        swept |= removed
+    return rest, frozenset(swept)
 
 
 def _read_literals(

@@ -231,7 +231,7 @@ def ground_all(operators: Iterable[Operator], objects: Iterable[Object]) -> list
     """Every well-typed grounding with distinct objects, sorted by name and objects."""
     pool = sorted(objects)
     return [
-        op.ground(args)
+        op.ground(args, pool)
         for op in sorted(operators, key=lambda o: o.name)
         for args in distinct_products([[o for o in pool if o.type == v.type] for v in op.parameters])
     ]
@@ -282,7 +282,7 @@ class _Problem:
             i: round(extra[str(op)] / COST_UNIT) for i, op in enumerate(self.ground) if str(op) in extra
         }
         steps = [
-            PyperplanOperator(i, facts(op.preconditions) or {0}, facts(op.add), facts(op.delete) | first)
+            PyperplanOperator(i, facts(op.preconditions) or {0}, facts(op.add), facts(op.delete | op.swept) | first)
             for i, op in enumerate(self.ground)
             if keep_useless or op.add & number.keys()
         ]

@@ -45,6 +45,17 @@ def test_apply_deletes_before_it_adds() -> None:
     assert both.ground((B0,)).apply(frozenset({CLEAR(B0)})) == {CLEAR(B0)}
 
 
+def test_what_is_deleted_of_every_object_goes_of_every_object_but_what_is_added() -> None:
+    other = Variable("?any", BLOCK)
+    drop = Operator("Drop", (R, TOP), add=frozenset({HOLDING(R, TOP)}), delete_all=frozenset({HOLDING(R, other)}))
+    held = frozenset({HOLDING(ROBOT0, B0), HOLDING(ROBOT0, B1), CLEAR(B1)})
+    assert drop.ground((ROBOT0, B0), (ROBOT0, B0, B1)).apply(held) == {HOLDING(ROBOT0, B0), CLEAR(B1)}
+    assert drop.ground((ROBOT0, B0)).apply(held) == held, "it was not told which objects there are"
+    assert drop.ground((ROBOT0, B0), (ROBOT0, B0, B1)).lift() == drop
+    with pytest.raises(PlanningError, match="no variable that stands for every object"):
+        Operator("Drop", (R, TOP), delete_all=frozenset({HOLDING(R, TOP)}))
+
+
 def test_an_operator_applies_where_its_preconditions_hold() -> None:
     ground = INSERT.ground((ROBOT0, B1, B0))
     atoms = frozenset({HOLDING(ROBOT0, B1), CLEAR(B0), CLEAR(B1)})

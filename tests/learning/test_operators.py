@@ -1,14 +1,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from resync_robot.core.symbols import Predicate, Variable
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atoms, Predicate, Variable
 from resync_robot.core.vocabulary import BLOCK, ROBOT
-from resync_robot.learning.operators import Column, OperatorConfig, learn_operator, lifted_atoms
+from resync_robot.learning.dataset import Dataset, Run, Step
+from resync_robot.learning.operators import Column, OperatorConfig, learn_operator, lifted_atoms, swept
 
 R, B0, B1 = Variable("?r", ROBOT), Variable("?b0", BLOCK), Variable("?b1", BLOCK)
 EMPTY, FREE, WET = Predicate("Empty", (ROBOT,)), Predicate("Free", (BLOCK,)), Predicate("Wet", (BLOCK,))
-PAIR = Predicate("Pair", (BLOCK, BLOCK))
+PAIR, HOLDS = Predicate("Pair", (BLOCK, BLOCK)), Predicate("Holds", (ROBOT, BLOCK))
 
 
 def column(atom, before, after=None, failed=(), learned=True, stage=None) -> Column:
@@ -82,6 +85,35 @@ def test_each_stage_has_failures_of_its_own_to_explain() -> None:
     ]
     op = learn_operator("Op", (R, B0, B1), columns, OperatorConfig())
     assert op is not None and op.preconditions == {FREE(B0), WET(B0), pair}
+
+
+def pushes(held_after: list[bool]) -> tuple[Dataset, list[Atoms]]:
+    """Successes of Push(r, b0) while something else is held, which is so afterwards or is not."""
+    robot, blocks = ROBOT("r"), (BLOCK("b0"), BLOCK("b1"))
+    held = HOLDS(robot, blocks[1])
+    steps = tuple(Step("Push", (robot, blocks[0]), 2 * i, 2 * i + 1) for i in range(len(held_after)))
+    run = Run(steps, (), 0, frozenset({held}), True, "dream", (robot, *blocks), 1)
+    truth = [frozenset({held} if now else ()) for after in held_after for now in (True, after)]
+    state = State({})
+    return Dataset((state,) * len(truth), ((0,),) * len(truth), (run,), {"Push": (ROBOT, BLOCK)}), truth
+
+
+@pytest.mark.parametrize(
+    ("held_after", "ends"),
+    [([False] * 6, True), ([False] * 4, False), ([True, True, False] * 4, False), ([True, False, False] * 4, True)],
+)
+def test_a_skill_ends_of_every_object_what_most_of_its_successes_end(held_after: list[bool], ends: bool) -> None:
+    dataset, truth = pushes(held_after)
+    found = swept(dataset, truth, [HOLDS, PAIR], {"Push": (R, B0)})["Push"]
+    other = Variable("?any1", BLOCK)
+    assert found == (frozenset({HOLDS(R, other)}) if ends else frozenset())
+
+
+def test_what_a_skill_ends_of_what_it_names_is_no_effect_on_everything() -> None:
+    dataset, _ = pushes([False] * 6)
+    robot, named = ROBOT("r"), BLOCK("b0")
+    truth = [frozenset({HOLDS(robot, named)} if i % 2 == 0 else ()) for i in range(12)]
+    assert swept(dataset, truth, [HOLDS], {"Push": (R, B0)})["Push"] == frozenset()
 
 
 def test_a_skill_that_never_succeeded_has_no_operator() -> None:

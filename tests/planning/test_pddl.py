@@ -32,7 +32,12 @@ def models(draw):
                     chosen.add(p(*(draw(st.sampled_from(pool)) for pool in pools)))
             return frozenset(chosen)
 
-        operators.append(Operator(name, parameters, atoms(), atoms(), atoms()))
+        everything = frozenset(
+            p(*(Variable(f"?any{i}", t) for i, t in enumerate(p.types)))
+            for p in draw(st.lists(st.sampled_from(predicates), max_size=1))
+            if p.types
+        )
+        operators.append(Operator(name, parameters, atoms(), atoms(), atoms(), everything))
     return tuple(sorted(predicates)), tuple(sorted(operators, key=lambda o: o.name))
 
 
@@ -43,6 +48,22 @@ def test_round_trip_keeps_everything(model) -> None:
     text = domain_to_pddl("some-domain", TYPES.values(), predicates, operators)
     assert domain_from_pddl(text, TYPES) == (predicates, operators)
     assert domain_to_pddl("some-domain", TYPES.values(), *domain_from_pddl(text, TYPES)) == text
+
+
+def test_an_effect_on_every_object_is_written_as_pddl_has_it() -> None:
+    robot, other = Variable("?r", ROBOT), Variable("?any1", BLOCK)
+    holding = Predicate("Holding", (ROBOT, BLOCK))
+    punch = Operator("Punch", (robot,), delete_all=frozenset({holding(robot, other)}))
+    text = domain_to_pddl("d", TYPES.values(), [holding], [punch])
+    assert "(forall (?any1 - block) (not (Holding ?r ?any1)))" in text
+    assert "(:requirements :strips :typing :conditional-effects)" in text
+    assert domain_from_pddl(text, TYPES) == ((holding,), (punch,))
+    for wrong, words in (
+        (text.replace("(not (Holding ?r ?any1))", "(Holding ?r ?any1)"), "only 'not' may stand behind 'forall'"),
+        (text.replace("(?any1 - block) ", ""), "takes variables and one effect"),
+    ):
+        with pytest.raises(PlanningError, match=words):
+            domain_from_pddl(wrong, TYPES)
 
 
 def test_pyperplan_reads_it_too() -> None:
