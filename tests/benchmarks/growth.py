@@ -1,0 +1,78 @@
+"""How dreaming and planning grow with the stages that are known and with the objects of a scene.
+
+    python tests/benchmarks/growth.py RUN_FOLDER [--objects 2 4 6 8] [--scenes 10]
+
+For the library after each stage, and scenes with so many objects that its failures can be about, with every known cause
+in the way of the first of them: how many combinations there are to dream of, and the time of grounding and of planning
+to the domain's usual goal, on one core. Minutes of each step of the run stand in its metrics.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from resync_robot.core.errors import PlanningError
+from resync_robot.core.library import load_library
+from resync_robot.core.rig import load_rig
+from resync_robot.curriculum.dream import usual_objects
+from resync_robot.learning.failures import FailureModel
+from resync_robot.library_models import embodiment_of, learned_model
+from resync_robot.planning.search import plan
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.dreaming import Dream, Dreamer, Placement
+
+FRESH = 960_000_000
+"""First seed of the scenes."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--objects", type=int, nargs="+", default=[2, 4, 6, 8])
+    parser.add_argument("--scenes", type=int, default=10)
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    metrics = json.loads((args.run / "metrics.json").read_text())
+    print("| stage | minutes: dreams, concepts | objects | combinations | grounding ms | planning ms, p95 | steps |")
+    print("|---|---|---|---|---|---|---|")
+    for place in sorted((args.run / "stages").glob("*/library")):
+        library = load_library(place)
+        domain = find_domain(library.domain)
+        rig = load_rig() if domain.embodiment is None else None
+        model = learned_model(domain, rig, library)
+        failures = tuple(FailureModel.from_learned(s.recovery, s.failure, domain) for s in library.stages)
+        usual = usual_objects(domain, failures, tuple(s.scenario for s in library.stages), FRESH)
+        before = tuple(Placement(i, "before", 0) for i in range(len(failures)))
+        spent = [metrics[f"{place.parent.name}/{step}"]["seconds"] / 60 for step in ("dream", "discover")]
+        for count in args.objects:
+            there = {**usual, failures[-1].relevant: count}
+            dreamer = Dreamer(domain, embodiment_of(domain, rig), failures, model, there)
+            grounding, planning, steps = [], [], []
+            for seed in range(FRESH, FRESH + args.scenes):
+                task = dreamer.task(Dream(before, seed))
+                begun = time.perf_counter()
+                atoms = model.abstraction.true_atoms(task.initial)
+                grounding.append(1000 * (time.perf_counter() - begun))
+                try:
+                    found = plan(model.operators, task.objects, atoms, task.goal, costs=model.costs)
+                except PlanningError:
+                    continue
+                planning.append(1000 * found.seconds)
+                steps.append(len(found.steps))
+            shown = f"{np.median(planning):.0f}, {np.percentile(planning, 95):.0f}" if planning else "no plan"
+            minutes, median = f"{spent[0]:.1f}, {spent[1]:.1f}", np.median(steps) if steps else 0
+            print(
+                f"| {place.parent.name} | {minutes} | {count} | {len(dreamer.combinations())} | "
+                f"{np.median(grounding):.1f} | {shown} | {median:.0f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
