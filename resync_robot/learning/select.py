@@ -72,7 +72,8 @@ class SelectConfig:
     Attributes:
         plans: 1 for the default J, more for the published one.
         penalty: cost of a demonstration without a plan.
-        min_gain: J must fall by more than this.
+        min_gain: J must fall by more than this: by default, by more than what counts as equally good. A concept that
+            explains no more than a handful of attempts comes and goes with the seed.
         indifference: concepts whose J is within this of the lowest explain equally well, and preference decides:
             differences of a few per cent are those of a handful of attempts, and change from seed to seed.
         max_concepts: hill climbing stops there.
@@ -80,7 +81,7 @@ class SelectConfig:
 
     plans: int = 1
     penalty: float = 100.0
-    min_gain: float = 1.0
+    min_gain: float = 3.0
     indifference: float = 3.0
     max_concepts: int = 4
     max_nodes: int = 3_000
