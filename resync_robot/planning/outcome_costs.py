@@ -127,9 +127,12 @@ class OutcomeCosts:
         return self._settings.step - math.log(self.success(step, atoms))
 
     def least(self, step: GroundOperator) -> float:
-        """No circumstances make the step cheaper than this."""
-        won = self._whole(step)[0]
-        return self._settings.step - math.log(self._posterior(step, won, won))
+        """No circumstances make the step cheaper than this: each of them is at its better, and the worst decides."""
+        best = [
+            max(self._posterior(step, *tally.held), self._posterior(step, *tally.otherwise))
+            for tally in self._tallies.get(step.name, ())
+        ]
+        return self._settings.step - math.log(min(best, default=self._settings.prior))
 
     def _whole(self, step: GroundOperator) -> Count:
         """Successes and attempts of its skill."""

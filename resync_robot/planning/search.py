@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from pyperplan.heuristics.blind import BlindHeuristic
@@ -67,7 +68,19 @@ def _lead(steps: Iterable[GroundOperator], atoms: Atoms, goal: Atoms) -> bool:
 
 
 class _LmCut(LmCutHeuristic):  # type: ignore[misc]
-    """LM-cut in a fixed order; pyperplan's own formats a log line for every operator of every cut."""
+    """LM-cut in a fixed order, with costs; pyperplan's own takes every operator for one step, and formats a log line
+    for every one of every cut.
+
+    Args:
+        costs: least cost of each operator, by its name; left out: 1 each.
+    """
+
+    def __init__(self, task: Task, costs: Mapping[int, int] | None = None) -> None:
+        super().__init__(task)
+        for name, cost in (costs or {}).items():
+            if name in self.relaxed_ops:
+                op = self.relaxed_ops[name]
+                op.clear = partial(_clear, op, cost)
 
     def find_cut(self, state: Any) -> list[Any]:
         return sorted(super().find_cut(state), key=lambda op: op.name)
@@ -89,6 +102,13 @@ class _LmCut(LmCutHeuristic):  # type: ignore[misc]
                 op.cost -= cost
             self.compute_hmax_from_last_cut(node.state, cut)
         return INFINITY if self.dead_end else value
+
+
+def _clear(op: Any, cost: int, anew: bool) -> None:
+    """As pyperplan forgets what it knew of an operator, but for its cost."""
+    type(op).clear(op, False)
+    if anew:
+        op.cost = cost
 
 
 HEURISTICS: dict[str, Callable[[Task], Callable[[SearchNode], float]]] = {
@@ -128,7 +148,7 @@ def plan(
     """
     start = time.perf_counter()
     problem = _Problem(operators, objects, atoms, goal, costs=costs, likely=likely, discouraged=discouraged)
-    estimate = problem.heuristic(heuristic)
+    estimate = problem.cost_to_go(heuristic)
     created = 0
 
     def counted(node: SearchNode) -> float:
@@ -149,7 +169,7 @@ def plan(
 
 
 def _cheapest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] | None:
-    """A*. The heuristic counts steps, each of which costs the cheapest one or more."""
+    """A*. The heuristic says what the rest costs at least."""
     root = make_root_node(problem.task.initial_state)
     best = {root.state: 0}
     queue = [(0.0, 0.0, 0, root)] if h(root) < INFINITY else []
@@ -164,11 +184,10 @@ def _cheapest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] 
         holding = problem.circumstances(node.state)
         for op, state in problem.task.get_successor_states(node.state):
             child = SearchNode(state, node, op, node.g + problem.cost(op, holding) + problem.discouragement(op, node))
-            if child.g >= best.get(state, INFINITY) or (steps := h(child)) == INFINITY:
+            if child.g >= best.get(state, INFINITY) or (left := h(child)) == INFINITY:
                 continue
             best[state] = child.g
             pushed += 1
-            left = steps * problem.least_cost
             heapq.heappush(queue, (child.g + left, left, pushed, child))
     return None
 
@@ -298,12 +317,20 @@ class _Problem:
             [*steps, *reliances],
         )
         least = [self._costs.least(op) for op in self.ground] + [-math.log(p) for _, p in self._likely]
-        self.least_cost = math.floor(min(least, default=1.0) / COST_UNIT)
+        self._least = [math.floor(cost / COST_UNIT) for cost in least]
 
     def heuristic(self, name: str) -> Callable[[SearchNode], float]:
+        """Steps to the goal."""
         if name not in HEURISTICS:
             raise UnknownNameError("heuristic", name, list(HEURISTICS))
         return HEURISTICS[name](self.task)
+
+    def cost_to_go(self, name: str) -> Callable[[SearchNode], float]:
+        """Cost to the goal, in COST_UNIT: never more than it is, where the heuristic never overestimates steps."""
+        if name == "lmcut":
+            return _LmCut(self.task, dict(enumerate(self._least)))
+        steps, least = self.heuristic(name), min(self._least, default=round(1.0 / COST_UNIT))
+        return lambda node: steps(node) * least
 
     def circumstances(self, state: frozenset[int]) -> frozenset[Atom]:
         """What the costs of steps hang on, in a state of the search."""
