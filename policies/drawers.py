@@ -6,6 +6,7 @@ Both look for the place along the front where nothing stands in the way of the f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,16 @@ from resync_robot.policies.grasp import finger_clearance, travel_height
 from resync_robot.policies.scripted import RATE_HZ, ScriptedSettings, heading
 
 BUILT = fittings.DRAWER
+ENOUGH = 0.008
+"""m of room beside the fingers beyond which more of it is worth nothing."""
+
+
+class Way(NamedTuple):
+    """Where fingers go down: m ahead of a front's outer face, m beside its middle, and the height of the tips, m."""
+
+    ahead: float
+    beside: float
+    tip_z: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +42,8 @@ class DrawerSettings:
         speed: of pulling and pushing; a tower in the tray stands at several times as much.
         pull, push: what a drawer may resist. At its end it resists more.
         below: how far below the middle of the handle the finger tips reach.
+        clearance: free space a side between an open finger and the handle.
+        edge: how far below the upper edge of the front the tips reach that push there.
         slipped: by how much narrower than the handle the pads may be that hold it.
         before: room between fingers and front before they push.
         beyond: how much further than closed they are sent.
@@ -43,6 +56,8 @@ class DrawerSettings:
     pull: float = 40.0
     push: float = 30.0
     below: float = 0.012
+    clearance: float = 0.014
+    edge: float = 0.020
     slipped: float = 0.005
     before: float = 0.02
     beyond: float = 0.004
@@ -81,12 +96,11 @@ def _open(
     state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
     bar, opening = BUILT.bar[0], float(state.get(drawer, "opening")[0])
-    # The finger behind the bar goes down in the middle between bar and front.
-    apart = bar + (BUILT.reach - bar - rig.gripper.finger_thickness)
+    apart = bar + 2 * of_drawers.clearance
     half = np.array([apart / 2 + rig.gripper.finger_thickness, rig.gripper.finger_width / 2])
-    ways = [(BUILT.reach - bar / 2, y) for y in _along(BUILT.bar[1], of_drawers.margin)]
-    tip_z = BUILT.bar_z - of_drawers.below
-    ahead, beside = _freest(state, drawer, ways, half, tip_z)
+    along = _along(BUILT.bar[1], of_drawers.margin)
+    ways = [Way(BUILT.reach - bar / 2, y, BUILT.bar_z - of_drawers.below) for y in along]
+    ahead, beside, tip_z = _freest(state, drawer, ways, half)
     x, y = _at(state, drawer, ahead, beside)
     end = _at(state, drawer, ahead + BUILT.travel - opening, beside)
     yaw = hand.yaw + float(spatial.wrap(heading(state, drawer) + np.pi / 2 - hand.yaw, np.pi))
@@ -127,11 +141,14 @@ def _close(
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
     opening, width = state.get(drawer, "opening", "size_y")
     half = np.array([rig.gripper.finger_width / 2, rig.gripper.finger_thickness])
-    tip_z = BUILT.bar_z - of_drawers.below
-    start = half[0] + of_drawers.before
-    on_bar = [(BUILT.reach + start, y) for y in _along(BUILT.bar[1], of_drawers.margin)]
-    on_front = [(start, y) for y in _along(width, of_drawers.margin) if abs(y) > BUILT.bar[1] / 2 + of_drawers.margin]
-    ahead, beside = _freest(state, drawer, [*on_bar, *on_front], half, tip_z)
+    start, past = half[0] + of_drawers.before, BUILT.bar[1] / 2 + of_drawers.margin
+    on_bar = [
+        Way(BUILT.reach + start, y, BUILT.bar_z - of_drawers.below) for y in _along(BUILT.bar[1], of_drawers.margin)
+    ]
+    # Near its upper edge, or the palm would meet the cabinet.
+    edge = float(state.get(drawer, "z", "size_z") @ [1.0, 0.5]) - of_drawers.edge
+    on_front = [Way(start, y, edge) for y in _along(width, of_drawers.margin) if abs(y) > past]
+    ahead, beside, tip_z = _freest(state, drawer, [*on_bar, *on_front], half)
     x, y = _at(state, drawer, ahead, beside)
     end = _at(state, drawer, ahead - of_drawers.before - opening - of_drawers.beyond, beside)
     yaw = hand.yaw + float(spatial.wrap(heading(state, drawer) - hand.yaw, np.pi))
@@ -173,18 +190,15 @@ def _along(width: float, margin: float) -> np.ndarray:
     return np.array(sorted(np.linspace(-most, most, 2 * int(np.ceil(most / 0.015)) + 1), key=abs))
 
 
-def _freest(
-    state: State, drawer: Object, ways: list[tuple[float, float]], half: np.ndarray, tip_z: float
-) -> tuple[float, float]:
-    """The first of (ahead, beside) where fingers of (2,) half extents, along and across the way it is pulled, have
-    room among the blocks; where none has, the one with most of it."""
-    enough = 0.008
+def _freest(state: State, drawer: Object, ways: list[Way], half: np.ndarray) -> Way:
+    """The first where fingers of (2,) half extents, along and across the way it is pulled, have room among the blocks;
+    where none has, the one with most of it."""
     corners = np.array([(sx * half[0], sy * half[1]) for sx in (-1, 0, 1) for sy in (-1, 0, 1)])
     blocks = state.project(state.of_type(BLOCK))
 
-    def room(way: tuple[float, float]) -> float:
-        points = np.array([_at(state, drawer, *(np.array(way) + corner)) for corner in corners])
-        return min(float(finger_clearance(blocks, points, tip_z, blocks.objects).min(initial=np.inf)), enough)
+    def room(way: Way) -> float:
+        points = np.array([_at(state, drawer, way.ahead + x, way.beside + y) for x, y in corners])
+        return min(float(finger_clearance(blocks, points, way.tip_z, blocks.objects).min(initial=np.inf)), ENOUGH)
 
     return max(ways, key=room)
 

@@ -34,7 +34,7 @@ class Drawer:
         floor: height of the tray's floor above the table.
         wall: thickness of what tray and cabinet are made of.
         bar: full extents of the handle, a bar along y.
-        reach: from the front's outer face to the outer face of the bar.
+        reach: from the front's outer face to the outer face of the bar: far enough for a hand on it to pass the cabinet.
         bar_z: height of the middle of the bar above the table.
     """
 
@@ -46,7 +46,7 @@ class Drawer:
     floor: float = 0.012
     wall: float = 0.009
     bar: tuple[float, float, float] = (0.012, 0.10, 0.012)
-    reach: float = 0.045
+    reach: float = 0.070
     bar_z: float = 0.045
 
 

@@ -17,8 +17,14 @@ from resync_robot.sim_training.physics.solver import Solver, solver_of
 Shapes = Sequence[parts.Convex | parts.Cuboid]
 
 
-def material(friction: float, solver: Solver) -> physx.PhysxMaterial:
-    return physx.PhysxMaterial(friction, friction, solver.restitution)
+def material(friction: float, solver: Solver, stiffness: float | None = None) -> physx.PhysxMaterial:
+    """What bodies are made of.
+
+    Args:
+        stiffness: N/m of each point of a contact, of what yields as rubber does; None for what is rigid.
+    """
+    # PhysX takes a negative restitution for a spring.
+    return physx.PhysxMaterial(friction, friction, solver.restitution if stiffness is None else -stiffness)
 
 
 def visual(

@@ -80,7 +80,10 @@ def draw_physics(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges
 
 
 def draw_fittings(rng: np.random.Generator, ranges: Ranges = USUAL) -> dict[str, Any]:
-    """Physics and looks of a lid and of a drawer. `stiction` is what it takes to move the drawer, N."""
+    """Physics and looks of a lid, and of a drawer, which it takes `stiction` N to move; and how far pads yield.
+
+    Between rigid pads one block of a tower is always a hair wider, and carries the whole grip.
+    """
     lid = {"mass": ranges.draw(rng, 0.3, 0.5), "friction": ranges.draw(rng, 0.3, 0.5)}
     drawer = {
         "mass": ranges.draw(rng, 0.4, 0.7),
@@ -90,7 +93,11 @@ def draw_fittings(rng: np.random.Generator, ranges: Ranges = USUAL) -> dict[str,
     looks = {name: _coloured(rng, hue) for name, hue in FITTING_HUES.items()}
     steel = rng.uniform(0.25, 0.45)
     drawer_looks = {"colour": looks["drawer"], "cabinet_colour": looks["drawer_cabinet"], "handle_colour": (steel,) * 3}
-    return {"lid": {**lid, "colour": looks["lid"]}, "drawer": {**drawer, **drawer_looks}}
+    return {
+        "lid": {**lid, "colour": looks["lid"]},
+        "drawer": {**drawer, **drawer_looks},
+        "pad_stiffness": ranges.draw(rng, 1.5e4, 3.0e4),
+    }
 
 
 def draw_solver(rng: np.random.Generator) -> Solver:

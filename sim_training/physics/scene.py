@@ -181,7 +181,8 @@ def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendere
     builder.initial_pose = sapien.Pose(rig.arm.world_T_base)
     robot = builder.build(fix_root_link=True)
     solver = solver_of(physics)
-    pad, steel = material(physics["friction_pad"], solver), material(0.3, solver)
+    pad = material(physics["friction_pad"], solver, physics.get("pad_stiffness"))
+    steel = material(0.3, solver)
     for link in robot.links:
         link.disable_gravity = True
         for shape in link.collision_shapes:
