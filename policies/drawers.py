@@ -19,9 +19,13 @@ from resync_robot.core.vocabulary import BLOCK, DRAWER, ROBOT
 from resync_robot.core.world import ArmObservation
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
 from resync_robot.policies.grasp import finger_clearance, travel_height
-from resync_robot.policies.scripted import RATE_HZ, ScriptedSettings, heading
+from resync_robot.policies.scripted import RATE_HZ, ScriptedSettings, heading, reach_down
 
 BUILT = fittings.DRAWER
+PITCH = 0.015
+"""m between two places along a front that are considered."""
+SPARE = 0.004
+"""m that fingers keep from the ends of what they hold or push."""
 ENOUGH = 0.008
 """m of room beside the fingers beyond which more of it is worth nothing."""
 
@@ -49,7 +53,6 @@ class DrawerSettings:
         beyond: how much further than closed they are sent.
         shut: how far from closed they may be stopped.
         closed: between the pads, below which the hand counts as closed.
-        margin: from the ends of the handle, or of the front, to the middle of the fingers.
     """
 
     speed: float = 0.06
@@ -63,7 +66,6 @@ class DrawerSettings:
     beyond: float = 0.004
     shut: float = 0.008
     closed: float = 0.010
-    margin: float = 0.018
 
 
 def drawer_skills(
@@ -95,33 +97,31 @@ def _open(
     _, drawer = objects
     state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
-    bar, opening = BUILT.bar[0], float(state.get(drawer, "opening")[0])
+    bar, across = BUILT.bar[:2]
     apart = bar + 2 * of_drawers.clearance
-    half = np.array([apart / 2 + rig.gripper.finger_thickness, rig.gripper.finger_width / 2])
-    along = _along(BUILT.bar[1], of_drawers.margin)
+    fingers = np.array([apart / 2 + rig.gripper.finger_thickness, rig.gripper.finger_width / 2])
+    # Between the two posts that hold the bar.
+    along = _along(across - 2 * bar, fingers[1] + SPARE)
     ways = [Way(BUILT.reach - bar / 2, y, BUILT.bar_z - of_drawers.below) for y in along]
-    ahead, beside, tip_z = _freest(state, drawer, ways, half)
-    x, y = _at(state, drawer, ahead, beside)
-    end = _at(state, drawer, ahead + BUILT.travel - opening, beside)
+    way = _freest(state, drawer, ways, fingers)
     yaw = hand.yaw + float(spatial.wrap(heading(state, drawer) + np.pi / 2 - hand.yaw, np.pi))
     above = travel_height(state, carried=None)
     try:
-        yield from hand.retreat(above, s.approach_speed)
-        yield from hand.open(apart)
-        yield from hand.move(x, y, above, yaw, s.travel_speed)
-        yield from hand.move(x, y, tip_z, yaw, s.descent_speed, max_force=s.touch_force)
+        yield from reach_down(hand, _tip_at(state, drawer, way), yaw, apart, above, s)
     except Blocked as blocked:
         yield from hand.back_off(above, s.approach_speed)
         return SkillOutcome(SkillEnd.BLOCKED, f"descending to the handle of {drawer}: {blocked}")
     yield from hand.close(0.0)
     reason = _off_the_handle(hand, of_drawers)
     if not reason:
+        left = BUILT.travel - float(state.get(drawer, "opening")[0])
+        end = _tip_at(state, drawer, way._replace(ahead=way.ahead + left))
         try:
-            yield from hand.move(*end, tip_z, yaw, of_drawers.speed, max_force=of_drawers.pull)
+            yield from hand.move(*end, yaw, of_drawers.speed, max_force=of_drawers.pull)
             reason = _off_the_handle(hand, of_drawers)
         except Blocked as blocked:
             reason = str(blocked)
-    yield from hand.give_in()
+            yield from hand.give_in()
     yield from hand.open(apart)
     yield from hand.back_off(above, s.approach_speed)
     return SkillOutcome(SkillEnd.BLOCKED, f"pulling {drawer}: {reason}") if reason else SkillOutcome(SkillEnd.DONE)
@@ -139,18 +139,9 @@ def _close(
     _, drawer = objects
     state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
-    opening, width = state.get(drawer, "opening", "size_y")
-    half = np.array([rig.gripper.finger_width / 2, rig.gripper.finger_thickness])
-    start, past = half[0] + of_drawers.before, BUILT.bar[1] / 2 + of_drawers.margin
-    on_bar = [
-        Way(BUILT.reach + start, y, BUILT.bar_z - of_drawers.below) for y in _along(BUILT.bar[1], of_drawers.margin)
-    ]
-    # Near its upper edge, or the palm would meet the cabinet.
-    edge = float(state.get(drawer, "z", "size_z") @ [1.0, 0.5]) - of_drawers.edge
-    on_front = [Way(start, y, edge) for y in _along(width, of_drawers.margin) if abs(y) > past]
-    ahead, beside, tip_z = _freest(state, drawer, [*on_bar, *on_front], half)
-    x, y = _at(state, drawer, ahead, beside)
-    end = _at(state, drawer, ahead - of_drawers.before - opening - of_drawers.beyond, beside)
+    way = _freest(state, drawer, _ways_to_push(state, drawer, rig, of_drawers), _closed_fingers(rig))
+    far = of_drawers.before + float(state.get(drawer, "opening")[0]) + of_drawers.beyond
+    start, end = (_tip_at(state, drawer, w) for w in (way, way._replace(ahead=way.ahead - far)))
     yaw = hand.yaw + float(spatial.wrap(heading(state, drawer) - hand.yaw, np.pi))
     above = travel_height(state, carried=None)
     try:
@@ -159,22 +150,21 @@ def _close(
         if hand.last.opening > of_drawers.closed:
             gap = 1000 * hand.last.opening
             return SkillOutcome(SkillEnd.REFUSED, f"the pads stand {gap:.0f} mm apart: something is between them")
-        yield from hand.move(x, y, above, yaw, s.travel_speed)
-        yield from hand.move(x, y, tip_z, yaw, s.descent_speed, max_force=s.touch_force)
+        yield from reach_down(hand, start, yaw, 0.0, above, s)
     except Blocked as blocked:
         yield from hand.back_off(above, s.approach_speed)
         return SkillOutcome(SkillEnd.BLOCKED, f"descending before {drawer}: {blocked}")
     reason = ""
     try:
-        yield from hand.move(*end, tip_z, yaw, of_drawers.speed, max_force=of_drawers.push)
+        yield from hand.move(*end, yaw, of_drawers.speed, max_force=of_drawers.push)
     except Blocked as blocked:
+        # Closed, or in front of what is in the way.
         reason = str(blocked)
-    left = float(np.linalg.norm(hand.tip()[:2] - end)) - of_drawers.beyond
+    left = float(np.linalg.norm(hand.tip() - end)) - of_drawers.beyond
     yield from hand.give_in()
-    outward = (np.array([x, y]) - end) / np.linalg.norm(np.array([x, y]) - end)
+    away = hand.position + of_drawers.before * (start - end) / far
     try:
-        away = hand.position[:2] + of_drawers.before * outward
-        yield from hand.move(*away, tip_z, yaw, s.approach_speed)
+        yield from hand.move(*away, yaw, s.approach_speed)
     except Blocked:
         # It leaves upward all the same.
         pass
@@ -184,27 +174,43 @@ def _close(
     return SkillOutcome(SkillEnd.DONE)
 
 
-def _along(width: float, margin: float) -> np.ndarray:
-    """Distances beside the middle of something of that width, m; the middle first."""
+def _closed_fingers(rig: Rig) -> np.ndarray:
+    """(2,) half extents, m, along and across a drawer that they push."""
+    return np.array([rig.gripper.finger_width / 2, rig.gripper.finger_thickness])
+
+
+def _ways_to_push(state: State, drawer: Object, rig: Rig, of_drawers: DrawerSettings) -> list[Way]:
+    """Before the bar, and before the front to both sides of it."""
+    ahead, beside = _closed_fingers(rig) + [of_drawers.before, SPARE]
+    on_bar = [Way(BUILT.reach + ahead, y, BUILT.bar_z - of_drawers.below) for y in _along(BUILT.bar[1], beside)]
+    # Near the upper edge of the front, or the palm would meet the cabinet.
+    z, width, height = state.get(drawer, "z", "size_y", "size_z")
+    ends = [y for y in _along(width, beside) if abs(y) > BUILT.bar[1] / 2 + beside]
+    return [*on_bar, *(Way(ahead, y, z + height / 2 - of_drawers.edge) for y in ends)]
+
+
+def _along(width: float, margin: float) -> list[float]:
+    """Distances beside the middle of something of that width, but for a margin at its ends, m; the middle first."""
     most = width / 2 - margin
-    return np.array(sorted(np.linspace(-most, most, 2 * int(np.ceil(most / 0.015)) + 1), key=abs))
+    return sorted(np.linspace(-most, most, 2 * int(np.ceil(most / PITCH)) + 1).tolist(), key=abs)
 
 
-def _freest(state: State, drawer: Object, ways: list[Way], half: np.ndarray) -> Way:
+def _freest(state: State, drawer: Object, ways: list[Way], fingers: np.ndarray) -> Way:
     """The first where fingers of (2,) half extents, along and across the way it is pulled, have room among the blocks;
     where none has, the one with most of it."""
-    corners = np.array([(sx * half[0], sy * half[1]) for sx in (-1, 0, 1) for sy in (-1, 0, 1)])
+    corners = fingers * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
     blocks = state.project(state.of_type(BLOCK))
 
     def room(way: Way) -> float:
-        points = np.array([_at(state, drawer, way.ahead + x, way.beside + y) for x, y in corners])
-        return min(float(finger_clearance(blocks, points, way.tip_z, blocks.objects).min(initial=np.inf)), ENOUGH)
+        tips = [_tip_at(state, drawer, Way(way.ahead + x, way.beside + y, way.tip_z)) for x, y in corners]
+        away = finger_clearance(blocks, np.array(tips)[:, :2], way.tip_z, blocks.objects)
+        return min(float(away.min()), ENOUGH)
 
     return max(ways, key=room)
 
 
-def _at(state: State, drawer: Object, ahead: float, beside: float) -> tuple[float, float]:
-    """x, y in the world, m: so far ahead of the outer face of a drawer's front, and beside its middle."""
+def _tip_at(state: State, drawer: Object, way: Way) -> np.ndarray:
+    """(3,) m in the world."""
     pose = spatial.pose_from_features(state[drawer][:7])
-    x, y = (pose @ np.array([state.get(drawer, "size_x")[0] / 2 + ahead, beside, 0.0, 1.0]))[:2]
-    return float(x), float(y)
+    x, y = (pose @ np.array([state.get(drawer, "size_x")[0] / 2 + way.ahead, way.beside, 0.0, 1.0]))[:2]
+    return np.array([x, y, way.tip_z])

@@ -17,7 +17,15 @@ from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
 from resync_robot.policies.fittings import in_a_way, knob_top
 from resync_robot.policies.grasp import finger_clearance, travel_height
 from resync_robot.policies.placing import Places
-from resync_robot.policies.scripted import RATE_HZ, ScriptedSettings, bring_over, heading, reached, stand_down
+from resync_robot.policies.scripted import (
+    RATE_HZ,
+    ScriptedSettings,
+    bring_over,
+    heading,
+    reach_down,
+    reached,
+    stand_down,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +80,7 @@ def _remove(
     above, carrying = travel_height(state, carried=None), travel_height(state, carried=lid)
     opening = width + 2 * of_lids.clearance
     try:
-        yield from hand.retreat(above, s.approach_speed)
-        yield from hand.open(opening)
-        yield from hand.move(x, y, above, hand.yaw + turn, s.travel_speed)
-        yield from hand.move(x, y, tip_z, hand.yaw, s.descent_speed, max_force=s.touch_force)
+        yield from reach_down(hand, np.array([x, y, tip_z]), hand.yaw + turn, opening, above, s)
     except Blocked as blocked:
         yield from hand.back_off(above, s.approach_speed)
         return SkillOutcome(SkillEnd.BLOCKED, f"descending to the knob of {lid}: {blocked}")

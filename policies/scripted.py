@@ -93,10 +93,7 @@ def pick_up(hand: Hand, state: State, block: Object, tip_z: float, s: ScriptedSe
     yaw, opening = best_approach(state, block, heading(state, block), tip_z, openings, gripper, hand.yaw)
     above = travel_height(state, carried=None)
     try:
-        yield from hand.retreat(above, s.approach_speed)
-        yield from hand.open(opening)
-        yield from hand.move(x, y, above, yaw, s.travel_speed)
-        yield from hand.move(x, y, tip_z, yaw, s.descent_speed, max_force=s.touch_force)
+        yield from reach_down(hand, np.array([x, y, tip_z]), yaw, opening, above, s)
     except Blocked as blocked:
         yield from hand.back_off(above, s.approach_speed)
         return SkillOutcome(SkillEnd.BLOCKED, f"descending to {block}: {blocked}")
@@ -110,6 +107,15 @@ def pick_up(hand: Hand, state: State, block: Object, tip_z: float, s: ScriptedSe
         yield from hand.open(opening)
         return SkillOutcome(SkillEnd.BLOCKED, f"the pads are {gap:.0f} mm apart, not on {block}")
     return SkillOutcome(SkillEnd.DONE)
+
+
+def reach_down(hand: Hand, tip: np.ndarray, yaw: float, opening: float, above: float, s: ScriptedSettings) -> Step:
+    """Bring the tip to (3,) `tip` from over it, with the pads `opening` m apart. Raises Blocked."""
+    x, y, z = tip
+    yield from hand.retreat(above, s.approach_speed)
+    yield from hand.open(opening)
+    yield from hand.move(x, y, above, yaw, s.travel_speed)
+    yield from hand.move(x, y, z, yaw, s.descent_speed, max_force=s.touch_force)
 
 
 def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: ScriptedSettings) -> Motion:

@@ -34,7 +34,7 @@ class Drawer:
         floor: height of the tray's floor above the table.
         wall: thickness of what tray and cabinet are made of.
         bar: full extents of the handle, a bar along y.
-        reach: from the front's outer face to the outer face of the bar: far enough for a hand on it to pass the cabinet.
+        reach: from the front's outer face to that of the bar: far enough for a hand on the bar to pass the cabinet.
         bar_z: height of the middle of the bar above the table.
     """
 

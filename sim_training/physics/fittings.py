@@ -23,47 +23,42 @@ from resync_robot.sim_training.physics.bodies import (
 from resync_robot.sim_training.physics.parts import TABLE_TOP, Cuboid
 from resync_robot.sim_training.physics.solver import solver_of
 
+Size = Sequence[float] | np.ndarray
+
 RUB = 2000.0
 """N s/m; below its stiction a drawer creeps so slowly that nobody sees it: 1 mm/s at 2 N."""
 
 
-def lid_shapes(size: Sequence[float], lid: Lid = LID) -> list[Cuboid]:
+def lid_shapes(size: Size, lid: Lid = LID) -> list[Cuboid]:
     """The plate, with its full extents `size`, and the knob; the origin is the middle of the plate."""
     plate, knob = np.asarray(size) / 2, np.array(lid.knob) / 2
     return [Cuboid(np.zeros(3), plate), Cuboid(np.array([0.0, 0.0, plate[2] + knob[2]]), knob)]
 
 
-def drawer_shapes(size: Sequence[float], drawer: Drawer = DRAWER) -> tuple[list[Cuboid], list[Cuboid]]:
-    """Front, of full extents `size`, with what belongs to its tray, and the handle. The origin is the middle of the
-    front, x the way it is pulled."""
+def drawer_shapes(size: Size, drawer: Drawer = DRAWER) -> tuple[list[Cuboid], list[Cuboid]]:
+    """A front of full extents `size` with the tray behind it, and the handle. The origin is the middle of the front, x
+    the way it is pulled."""
     thick, _, high = size
     deep, wide, tall = drawer.tray
-    ground, wall = drawer.lift + high / 2, drawer.wall
-    back, floor = -thick / 2, drawer.floor - ground
-    bottom = drawer.lift - ground
-
-    def slab(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Cuboid:
-        ends = np.array([x, y, z], dtype=np.float64)
-        return Cuboid(ends.mean(1), (ends[:, 1] - ends[:, 0]) / 2)
-
-    side, rear = (floor, floor + tall), back - deep
+    wall, table = drawer.wall, -drawer.lift - high / 2
+    back, floor = -thick / 2, table + drawer.floor
+    rear, half = back - deep, wide / 2
     tray = [
         Cuboid(np.zeros(3), np.asarray(size) / 2),
-        slab((rear, back), (-wide / 2 - wall, wide / 2 + wall), (bottom, floor)),
-        slab((rear - wall, rear), (-wide / 2 - wall, wide / 2 + wall), (bottom, floor + tall)),
-        *(slab((rear, back), (min(a, b), max(a, b)), side) for a, b in _walls(wide / 2, wall)),
+        _slab((rear, back), (-half - wall, half + wall), (-high / 2, floor)),
+        _slab((rear - wall, rear), (-half - wall, half + wall), (-high / 2, floor + tall)),
+        *(_slab((rear, back), y, (floor, floor + tall)) for y in ((-half - wall, -half), (half, half + wall))),
     ]
-    bar, z = np.array(drawer.bar), drawer.bar_z - ground
-    out = thick / 2 + drawer.reach - bar[0]
-    handle = [slab((out, out + bar[0]), (-bar[1] / 2, bar[1] / 2), (z - bar[2] / 2, z + bar[2] / 2))]
-    for end in (-1, 1):
-        y = end * (bar[1] / 2 - bar[0] / 2)
-        handle.append(slab((thick / 2, out), (y - bar[0] / 2, y + bar[0] / 2), (z - bar[2] / 2, z + bar[2] / 2)))
-    return tray, handle
+    (x, y, z), out = drawer.bar, thick / 2 + drawer.reach - drawer.bar[0]
+    heights = (table + drawer.bar_z - z / 2, table + drawer.bar_z + z / 2)
+    posts = [_slab((thick / 2, out), ends, heights) for ends in ((-y / 2, x - y / 2), (y / 2 - x, y / 2))]
+    return tray, [_slab((out, out + x), (-y / 2, y / 2), heights), *posts]
 
 
-def _walls(half: float, wall: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    return (half, half + wall), (-half, -half - wall)
+def _slab(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Cuboid:
+    """Between these ends, m."""
+    ends = np.array([x, y, z], dtype=np.float64)
+    return Cuboid(ends.mean(1), (ends[:, 1] - ends[:, 0]) / 2)
 
 
 def cabinet_shapes(drawer: Drawer = DRAWER) -> list[Cuboid]:
