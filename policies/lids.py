@@ -74,42 +74,55 @@ def _remove(
     state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
     x, y, z, thickness = state.get(lid, "x", "y", "z", "size_z")
-    width, tip_z = fittings.LID.knob[0], knob_top(state, lid) - of_lids.grasp
-    hanging = tip_z - z + thickness / 2
-    turn = float(spatial.wrap(heading(state, lid) - hand.yaw, np.pi / 2))
-    above, carrying = travel_height(state, carried=None), travel_height(state, carried=lid)
+    tip = np.array([x, y, knob_top(state, lid) - of_lids.grasp])
+    yaw = hand.yaw + float(spatial.wrap(heading(state, lid) - hand.yaw, np.pi / 2))
+    width, above, carrying = fittings.LID.knob[0], travel_height(state, None), travel_height(state, lid)
     opening = width + 2 * of_lids.clearance
     try:
-        yield from reach_down(hand, np.array([x, y, tip_z]), hand.yaw + turn, opening, above, s)
+        yield from reach_down(hand, tip, yaw, opening, above, s)
     except Blocked as blocked:
         yield from hand.back_off(above, s.approach_speed)
         return SkillOutcome(SkillEnd.BLOCKED, f"descending to the knob of {lid}: {blocked}")
     yield from hand.close(width - s.squeeze)
+    places = _places(state, lid, hand, tip[2] - z + thickness / 2, carrying, of_lids)
+    refused = None
     if abs(hand.last.opening - width) > of_lids.slipped:
         gap = 1000 * hand.last.opening
+        refused = SkillOutcome(SkillEnd.BLOCKED, f"the pads are {gap:.0f} mm apart, not on the knob of {lid}")
+    elif not places:
+        refused = SkillOutcome(SkillEnd.REFUSED, f"no free place within reach to put {lid} down")
+    if refused is not None:
         yield from hand.open(opening)
         yield from hand.back_off(above, s.approach_speed)
-        return SkillOutcome(SkillEnd.BLOCKED, f"the pads are {gap:.0f} mm apart, not on the knob of {lid}")
-    places = _places(state, lid, hand, hanging, carrying, of_lids)
-    if not places:
-        yield from hand.open(opening)
-        yield from hand.back_off(above, s.approach_speed)
-        return SkillOutcome(SkillEnd.REFUSED, f"no free place within reach to put {lid} down")
+        return refused
     try:
-        yield from hand.move(x, y, carrying, hand.yaw, s.approach_speed)
+        yield from hand.move(x, y, carrying, yaw, s.approach_speed)
     except Blocked as blocked:
         yield from hand.open(opening)
         return SkillOutcome(SkillEnd.BLOCKED, f"lifting {lid}: {blocked}")
-    reason = ""
-    for tip in places[: s.places]:
+    return (yield from _put_down(hand, lid, places[: s.places], opening, carrying, s, of_lids))
+
+
+def _put_down(
+    hand: Hand,
+    lid: Object,
+    places: list[np.ndarray],
+    opening: float,
+    carrying: float,
+    s: ScriptedSettings,
+    of_lids: LidSettings,
+) -> Motion:
+    """Lay a lid that hangs from the hand down at the first of these (3,) places of the tip where nothing is met."""
+    # Square to the table, so that it takes the least room.
+    yaw, reason = hand.yaw - float(spatial.wrap(hand.yaw, np.pi / 2)), ""
+    for tip in places:
         try:
-            # Square to the table, so that it takes the least room.
-            yield from bring_over(hand, tip, hand.yaw - float(spatial.wrap(hand.yaw, np.pi / 2)), carrying, s)
+            yield from bring_over(hand, tip, yaw, carrying, s)
         except Blocked as blocked:
             reason = str(blocked)
             yield from hand.back_off(carrying, s.approach_speed)
             continue
-        if hand.last.opening < width - of_lids.slipped:
+        if hand.last.opening < fittings.LID.knob[0] - of_lids.slipped:
             yield from hand.back_off(carrying, s.approach_speed)
             return SkillOutcome(SkillEnd.BLOCKED, f"{lid} slipped out of the hand")
         return (yield from stand_down(hand, tip, lid, opening, carrying, s))

@@ -19,9 +19,11 @@ from resync_robot.sim_training.physics.randomise import USUAL, Ranges, draw_fitt
 
 THE_LID, THE_DRAWER = LID("lid"), DRAWER("drawer")
 
-BESIDE = ((0.20, 0.28), (-0.46, -0.34))
+BESIDE = ((0.19, 0.29), (-0.63, -0.33))
 """x and y in the world, m, of a free block on the table: to the right of the robot, where a lid leaves it room."""
-PUT_DOWN = ((0.52, 0.58), (-0.48, -0.44))
+APART = 0.12
+"""Least distance between the centres of two of these, m: a finger fits between."""
+PUT_DOWN = ((0.54, 0.58), (-0.48, -0.44))
 """The same of a lid that is off the box."""
 FACE = ((0.485, 0.515), (0.41, 0.44))
 """The same of the middle of a cabinet's face; the drawer opens towards the robot."""
@@ -52,7 +54,7 @@ def sample_task(
     rng: np.random.Generator, seed: int, goal: Atoms, layout: FurnishedLayout, ranges: Ranges = USUAL
 ) -> Task:
     """A task with everything where `layout` wants it."""
-    features, sizes = lay_out(rng, layout, ranges, beside_the_robot)
+    features, sizes = lay_out(rng, layout, ranges, beside_the_robot, APART)
     features[R] = robot_at_home()
     features[THE_LID] = sample_lid(rng, features[THE_BOX] if layout.lid_on else None)
     features[THE_DRAWER] = sample_drawer(rng, fittings.DRAWER.travel if layout.drawer_open else 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -130,11 +131,13 @@ def lay_out(
     layout: Layout,
     ranges: Ranges = USUAL,
     on_table: Callable[[np.random.Generator, np.ndarray], tuple[float, float, float]] = free_on_table,
+    apart_there: float = APART,
 ) -> tuple[dict[Object, np.ndarray], dict[str, np.ndarray]]:
     """Features of a box and of every block in it or on the table, and the sizes of all blocks by name.
 
     Args:
         on_table: where a free block stands that is not in the box, as `free_on_table` does.
+        apart_there: least distance between the centres of two of these, m.
     """
     while True:
         box = sample_box(rng)
@@ -154,12 +157,15 @@ def lay_out(
             else:
                 local[name] = on_table(rng, box)
                 outside.add(name)
-        if _apart(local):
+        if _apart(local, outside, apart_there):
             break
     features = {BLOCK(n): block_features(box, local[n], sizes[n], n in outside) for n in sorted(local)}
     return {**features, THE_BOX: box}, sizes
 
 
-def _apart(local: dict[str, tuple[float, float, float]]) -> bool:
-    places = [np.array(p[:2]) for p in local.values()]
-    return all(np.linalg.norm(a - b) > APART for i, a in enumerate(places) for b in places[i + 1 :])
+def _apart(local: dict[str, tuple[float, float, float]], outside: set[str], apart_there: float) -> bool:
+    """Whether no two blocks are nearer to each other than they may be."""
+    return all(
+        np.hypot(local[a][0] - local[b][0], local[a][1] - local[b][1]) > (apart_there if {a, b} <= outside else APART)
+        for a, b in combinations(local, 2)
+    )
