@@ -54,7 +54,7 @@ def check_domain(config: CheckDomainConfig) -> int:
     check_range("--worlds", config.worlds, 1, MOST_WORLDS)
     if config.sheet is not None:
         check_output(config.sheet, PNG, option="--sheet")
-    domain = _with_robot(open_domain(config.domain, DOMAINS))
+    domain = with_robot(open_domain(config.domain, DOMAINS))
     findings = []
     for finding in examine(domain, config.worlds):
         findings.append(finding)
@@ -69,7 +69,7 @@ def check_domain(config: CheckDomainConfig) -> int:
     return 0 if healthy else 2
 
 
-def _with_robot(domain: Domain) -> Domain:
+def with_robot(domain: Domain) -> Domain:
     """The same with the simulated arm, where it brings no robot and the arm has a skill for each of its operators."""
     from dataclasses import replace
 
