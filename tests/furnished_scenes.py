@@ -30,7 +30,7 @@ PHYSICS = {
         "cabinet_colour": (0.4, 0.6, 0.1),
         "handle_colour": (0.3, 0.3, 0.3),
     },
-    "pad_stiffness": 2e4,
+    "pad_stiffness": 1e4,
 }
 
 

@@ -21,10 +21,11 @@ def material(friction: float, solver: Solver, stiffness: float | None = None) ->
     """What bodies are made of.
 
     Args:
-        stiffness: N/m of each point of a contact, of what yields as rubber does; None for what is rigid.
+        stiffness: of what yields as rubber does, N/m of each point at which it meets something rigid; None for what
+            is rigid.
     """
-    # PhysX takes a negative restitution for a spring.
-    return physx.PhysxMaterial(friction, friction, solver.restitution if stiffness is None else -stiffness)
+    # PhysX takes a negative restitution for a spring, and the mean of the two that meet.
+    return physx.PhysxMaterial(friction, friction, solver.restitution if stiffness is None else -2 * stiffness)
 
 
 def visual(

@@ -96,7 +96,7 @@ def draw_fittings(rng: np.random.Generator, ranges: Ranges = USUAL) -> dict[str,
     return {
         "lid": {**lid, "colour": looks["lid"]},
         "drawer": {**drawer, **drawer_looks},
-        "pad_stiffness": ranges.draw(rng, 1.5e4, 3.0e4),
+        "pad_stiffness": ranges.draw(rng, 0.75e4, 1.5e4),
     }
 
 
