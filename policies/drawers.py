@@ -17,7 +17,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, DRAWER, ROBOT
 from resync_robot.core.world import ArmObservation
-from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
+from resync_robot.policies.cartesian import Blocked, Hand, Motion, Step, run_motion
 from resync_robot.policies.grasp import finger_clearance, travel_height
 from resync_robot.policies.scripted import RATE_HZ, ScriptedSettings, heading, reach_down
 
@@ -117,7 +117,7 @@ def _open(
         left = BUILT.travel - float(state.get(drawer, "opening")[0])
         end = _tip_at(state, drawer, way._replace(ahead=way.ahead + left))
         try:
-            yield from hand.move(*end, yaw, of_drawers.speed, max_force=of_drawers.pull)
+            yield from _slide(hand, end, of_drawers.speed, of_drawers.pull)
             reason = _off_the_handle(hand, of_drawers)
         except Blocked as blocked:
             reason = str(blocked)
@@ -125,6 +125,12 @@ def _open(
     yield from hand.open(apart)
     yield from hand.back_off(above, s.approach_speed)
     return SkillOutcome(SkillEnd.BLOCKED, f"pulling {drawer}: {reason}") if reason else SkillOutcome(SkillEnd.DONE)
+
+
+def _slide(hand: Hand, tip: np.ndarray, speed: float, max_force: float) -> Step:
+    """Straight to (3,) `tip`, without a turn. Raises Blocked."""
+    x, y, z = tip
+    yield from hand.move(x, y, z, hand.yaw, speed, max_force)
 
 
 def _off_the_handle(hand: Hand, of_drawers: DrawerSettings) -> str:
@@ -156,7 +162,7 @@ def _close(
         return SkillOutcome(SkillEnd.BLOCKED, f"descending before {drawer}: {blocked}")
     reason = ""
     try:
-        yield from hand.move(*end, yaw, of_drawers.speed, max_force=of_drawers.push)
+        yield from _slide(hand, end, of_drawers.speed, of_drawers.push)
     except Blocked as blocked:
         # Closed, or in front of what is in the way.
         reason = str(blocked)
@@ -164,7 +170,7 @@ def _close(
     yield from hand.give_in()
     away = hand.position + of_drawers.before * (start - end) / far
     try:
-        yield from hand.move(*away, yaw, s.approach_speed)
+        yield from _slide(hand, away, s.approach_speed, np.inf)
     except Blocked:
         # It leaves upward all the same.
         pass
