@@ -59,4 +59,4 @@ def test_cornered_insertion_l_keeps_the_contract(capsys: pytest.CaptureFixture[s
     assert cli.main(["check-domain", "cornered-insertion-l", "--worlds", "2", "--json"]) == 0
     found = {f["name"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
     assert found["given model: free"]["status"] == found["given model: l0"]["status"] == "ok"
-    assert "on box" in found["given model: l0"]["detail"]
+    assert "box" in found["given model: l0"]["detail"]
