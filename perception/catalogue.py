@@ -11,30 +11,10 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from resync_robot.core.errors import ConfigError
+from resync_robot.core.fittings import Drawer, Lid
 
 CABINET = "_cabinet"
 """Ends the name under which the colour of a drawer's cabinet stands in `hues`."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lid:
-    """A flat plate with a knob. `size`: full extents along x, y, z, the knob not counted."""
-
-    size: tuple[float, float, float] = (0.33, 0.33, 0.012)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drawer:
-    """A drawer that slides out of its cabinet along x.
-
-    Attributes:
-        front, cabinet: full extents along x, y, z. Between the two, an open drawer lies lower than its front.
-        travel: the widest opening.
-    """
-
-    front: tuple[float, float, float] = (0.012, 0.14, 0.060)
-    cabinet: tuple[float, float, float] = (0.10, 0.14, 0.070)
-    travel: float = 0.08
 
 
 @dataclass(frozen=True, kw_only=True)

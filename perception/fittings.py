@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from resync_robot.core import spatial
-from resync_robot.perception.catalogue import CABINET, Catalogue, Drawer, Lid
+from resync_robot.core.fittings import Drawer, Lid
+from resync_robot.perception.catalogue import CABINET, Catalogue
 from resync_robot.perception.outline import (
     Rectangle,
     Votes,

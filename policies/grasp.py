@@ -8,10 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from resync_robot.core import spatial
+from resync_robot.core.fittings import LID as LID_SHAPE
 from resync_robot.core.rig import GripperRig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
-from resync_robot.core.vocabulary import BLOCK, BOX
+from resync_robot.core.vocabulary import BLOCK, BOX, LID
+from resync_robot.policies.fittings import footprints
 
 ENOUGH = 0.010
 """Clearance in m beyond which more of it is worth no extra turn of the wrist."""
@@ -86,7 +88,8 @@ def finger_corners(centre: np.ndarray, yaw: float, opening: float, gripper: Grip
 def finger_clearance(
     state: State, points: Float[np.ndarray, "*n 2"], tip_z: float, others: Sequence[Object]
 ) -> Float[np.ndarray, "*n"]:
-    """Distances in m from points of a finger to the nearest wall or block that reaches up to it; negative inside."""
+    """Distances in m from points of a finger to the nearest wall, lid, drawer or block of `others` that reaches up to
+    it; negative inside."""
     room = np.full(points.shape[:-1], np.inf)
     for box in state.of_type(BOX):
         inner_x, inner_y, wall_z, thickness = state.get(box, "inner_x", "inner_y", "wall_z", "wall_thickness")
@@ -105,6 +108,9 @@ def finger_clearance(
         c, s = np.cos(yaw), np.sin(yaw)
         local = np.abs((points - np.array([x, y])) @ np.array([[c, -s], [s, c]]))
         room = np.minimum(room, (local - width / 2).max(-1))
+    for solid in footprints(state):
+        if tip_z <= solid.top:
+            room = np.minimum(room, solid.away(points))
     return room
 
 
@@ -120,13 +126,19 @@ def carried_with(state: State, held: Object) -> tuple[Object, ...]:
 
 
 def travel_height(state: State, carried: Object | None) -> float:
-    """Tip height in m at which hand and carried block, with what rides on it, pass over everything that stands."""
-    in_hand = () if carried is None else carried_with(state, carried)
-    tops = [0.0]
+    """Tip height in m at which the hand and what it carries, with what rides on that, pass over everything that stands.
+
+    Args:
+        carried: a block or a lid.
+    """
+    in_hand = () if carried is None else (carried,) if carried.type == LID else carried_with(state, carried)
+    tops = [0.0, *(solid.top for solid in footprints(state, ignore=in_hand))]
     for box in state.of_type(BOX):
         tops.append(float(state.get(box, "z", "wall_z").sum()))
     for block in state.of_type(BLOCK):
         if block not in in_hand:
             tops.append(float(state.get(block, "z")[0] + state.get(block, "size_z")[0] / 2 + 0.012))
     hanging = 0.0 if carried is None else float(state.get(carried, "size_z")[0])
+    if carried is not None and carried.type == LID:
+        hanging += LID_SHAPE.knob[2]
     return max(tops) + hanging + 0.03

@@ -11,6 +11,7 @@ from resync_robot.core import spatial
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX
+from resync_robot.policies.fittings import in_a_way
 from resync_robot.policies.grasp import finger_clearance
 
 REGION = np.array([[0.34, 0.60], [-0.36, 0.36]])
@@ -31,7 +32,8 @@ Places = Float[np.ndarray, "n 3"]
 def free_places(
     state: State, carried: Collection[Object], width: float, near: np.ndarray, reaches: Callable[[Places], np.ndarray]
 ) -> list[np.ndarray]:
-    """Places where a block of this width has room on all sides, whichever way it is turned; the best first.
+    """Places where a block of this width has room on all sides, whichever way it is turned, and is in the way of no
+    drawer; the best first.
 
     The table comes before the floor of a box: what is dragged out of a corner there needs the room. Then comes the
     place with more room, up to ENOUGH_ROOM, then the nearer one.
@@ -53,7 +55,7 @@ def free_places(
         within = _inside(state, box, xy)
         ground[within], inside = state.get(box, "z")[0], inside | within
     places = np.column_stack([xy, ground])
-    free = room >= LEAST_ROOM
+    free = (room >= LEAST_ROOM) & ~in_a_way(state, xy, width / np.sqrt(2))
     free[free] = reaches(places[free])
     order = np.lexsort((np.linalg.norm(xy - near, axis=1), -np.minimum(room, ENOUGH_ROOM), inside))
     found: list[np.ndarray] = []

@@ -17,7 +17,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.core.world import ArmObservation
-from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
+from resync_robot.policies.cartesian import Blocked, Hand, Motion, Step, run_motion
 from resync_robot.policies.grasp import best_approach, best_yaw, carried_with, travel_height
 from resync_robot.policies.placing import Places, free_places
 
@@ -79,19 +79,21 @@ def scripted_skills(rig: Rig, settings: ScriptedSettings | None = None) -> tuple
 
 def _pick(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: ScriptedSettings) -> Motion:
     _, block = objects
-    state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
-    width = float(state.get(block, "size_x", "size_y").max())
-    x, y, z, height = state.get(block, "x", "y", "z", "size_z")
+    z, height = first.state.get(block, "z", "size_z")
     tip_z = z - min(s.grasp_depth, height / 2 - 0.008)
-    openings = [min(width + 2 * clearance, rig.gripper.max_opening) for clearance in s.approach_clearances]
-    yaw, opening = best_approach(state, block, _block_yaw(state, block), tip_z, openings, rig.gripper, hand.yaw)
+    return (yield from pick_up(hand, first.state, block, tip_z, s))
+
+
+def pick_up(hand: Hand, state: State, block: Object, tip_z: float, s: ScriptedSettings) -> Motion:
+    """Grasp a block with the tips at the height `tip_z` m, and lift it with what stands on it."""
+    gripper = hand.rig.gripper
+    x, y, width = *state.get(block, "x", "y"), float(state.get(block, "size_x", "size_y").max())
+    openings = [min(width + 2 * clearance, gripper.max_opening) for clearance in s.approach_clearances]
+    yaw, opening = best_approach(state, block, heading(state, block), tip_z, openings, gripper, hand.yaw)
     above = travel_height(state, carried=None)
     try:
-        yield from hand.retreat(above, s.approach_speed)
-        yield from hand.open(opening)
-        yield from hand.move(x, y, above, yaw, s.travel_speed)
-        yield from hand.move(x, y, tip_z, yaw, s.descent_speed, max_force=s.touch_force)
+        yield from reach_down(hand, np.array([x, y, tip_z]), yaw, opening, above, s)
     except Blocked as blocked:
         yield from hand.back_off(above, s.approach_speed)
         return SkillOutcome(SkillEnd.BLOCKED, f"descending to {block}: {blocked}")
@@ -107,21 +109,30 @@ def _pick(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scrip
     return SkillOutcome(SkillEnd.DONE)
 
 
+def reach_down(hand: Hand, tip: np.ndarray, yaw: float, opening: float, above: float, s: ScriptedSettings) -> Step:
+    """Bring the tip to (3,) `tip` from over it, with the pads `opening` m apart. Raises Blocked."""
+    x, y, z = tip
+    yield from hand.retreat(above, s.approach_speed)
+    yield from hand.open(opening)
+    yield from hand.move(x, y, above, yaw, s.travel_speed)
+    yield from hand.move(x, y, z, yaw, s.descent_speed, max_force=s.touch_force)
+
+
 def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: ScriptedSettings) -> Motion:
     robot, held, base = objects
     state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
-    tip_T_held = _pose_in_hand(state, robot, held)
+    tip_T_held = pose_in_hand(state, robot, held)
     if tip_T_held is None:
         return SkillOutcome(SkillEnd.REFUSED, f"{held} is not in the hand")
     width = float(state.get(held, "size_x", "size_y").max())
     x, y, z, base_height = state.get(base, "x", "y", "z", "size_z")
     seated = z + (base_height + state.get(held, "size_z")[0]) / 2
     # The tip points down, so a turn of the block in the hand is a turn of the tip the other way round.
-    turned = _block_yaw(state, held) - yaw_tip(state, robot)
+    turned = heading(state, held) - yaw_tip(state, robot)
     opening = width + 2 * s.release_clearance
     tip_z = seated + tip_T_held[2, 3]
-    yaw = best_yaw(state, base, _block_yaw(state, base) - turned, tip_z, opening, rig.gripper, hand.yaw, ignore=held)
+    yaw = best_yaw(state, base, heading(state, base) - turned, tip_z, opening, rig.gripper, hand.yaw, ignore=held)
     offset = hand.rotation(yaw) @ tip_T_held[:3, 3]
     goal_x, goal_y, goal_z = np.array([x, y, seated]) - offset
     above = travel_height(state, carried=held)
@@ -155,7 +166,7 @@ def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scri
     robot, held = objects
     state = first.state
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
-    tip_T_held = _pose_in_hand(state, robot, held)
+    tip_T_held = pose_in_hand(state, robot, held)
     if tip_T_held is None:
         return SkillOutcome(SkillEnd.REFUSED, f"{held} is not in the hand")
     carried = carried_with(state, held)
@@ -163,34 +174,46 @@ def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scri
     above = travel_height(state, carried=held)
     # The hand keeps its heading: wherever there is room, there is room on all sides.
     block_to_tip = np.array([0.0, 0.0, state.get(held, "size_z")[0] / 2]) - hand.rotation(hand.yaw) @ tip_T_held[:3, 3]
-    places = free_places(state, carried, width, hand.position[:2], lambda p: _reached(p + block_to_tip, above, hand))
+    places = free_places(state, carried, width, hand.position[:2], lambda p: reached(p + block_to_tip, above, hand))
     if not places:
         return SkillOutcome(SkillEnd.REFUSED, f"no free place within reach to put {held} down")
     reason = ""
-    for x, y, z in (place + block_to_tip for place in places[: s.places]):
+    for tip in (place + block_to_tip for place in places[: s.places]):
         try:
-            yield from hand.retreat(above, s.approach_speed)
-            yield from hand.move(x, y, above, hand.yaw, s.travel_speed)
-            yield from hand.move(x, y, z + s.contact_range, hand.yaw, s.descent_speed, max_force=s.touch_force)
+            yield from bring_over(hand, tip, hand.yaw, above, s)
         except Blocked as blocked:
             reason = str(blocked)
             yield from hand.back_off(above, s.approach_speed)
             continue
-        try:
-            yield from hand.move(x, y, z - s.contact_range, hand.yaw, s.contact_speed, max_force=s.seat_force)
-        except Blocked:
-            # It stands on something.
-            pass
-        yield from hand.open(width + 2 * s.release_clearance)
-        try:
-            yield from hand.move(x, y, above, hand.yaw, s.approach_speed)
-        except Blocked as blocked:
-            return SkillOutcome(SkillEnd.BLOCKED, f"leaving {held}: {blocked}")
-        return SkillOutcome(SkillEnd.DONE)
+        return (yield from stand_down(hand, tip, held, width + 2 * s.release_clearance, above, s))
     return SkillOutcome(SkillEnd.BLOCKED, f"putting {held} down: {reason}")
 
 
-def _reached(tips: Places, above: float, hand: Hand) -> np.ndarray:
+def bring_over(hand: Hand, tip: np.ndarray, yaw: float, above: float, s: ScriptedSettings) -> Step:
+    """Bring what is held to just over where it is to stand, the tip to (3,) `tip` when it does. Raises Blocked."""
+    x, y, z = tip
+    yield from hand.retreat(above, s.approach_speed)
+    yield from hand.move(x, y, above, yaw, s.travel_speed)
+    yield from hand.move(x, y, z + s.contact_range, yaw, s.descent_speed, max_force=s.touch_force)
+
+
+def stand_down(hand: Hand, tip: np.ndarray, held: Object, opening: float, above: float, s: ScriptedSettings) -> Motion:
+    """From there, lower it until it stands, open the pads to `opening` m, and leave."""
+    x, y, z = tip
+    try:
+        yield from hand.move(x, y, z - s.contact_range, hand.yaw, s.contact_speed, max_force=s.seat_force)
+    except Blocked:
+        # It stands on something.
+        pass
+    yield from hand.open(opening)
+    try:
+        yield from hand.move(x, y, above, hand.yaw, s.approach_speed)
+    except Blocked as blocked:
+        return SkillOutcome(SkillEnd.BLOCKED, f"leaving {held}: {blocked}")
+    return SkillOutcome(SkillEnd.DONE)
+
+
+def reached(tips: Places, above: float, hand: Hand) -> np.ndarray:
     """(n,) whether the hand reaches these tip positions (n, 3), and those at the height `above` over them, as it is
     turned now."""
     over = tips.copy()
@@ -198,14 +221,15 @@ def _reached(tips: Places, above: float, hand: Hand) -> np.ndarray:
     return hand.reaches(tips) & hand.reaches(over)
 
 
-def _pose_in_hand(state: State, robot: Object, block: Object) -> np.ndarray | None:
+def pose_in_hand(state: State, robot: Object, block: Object) -> np.ndarray | None:
     """(4, 4) tip_T_block, or None where the block is somewhere else."""
     tip_T_block = inverse(pose_from_features(state[robot][:7])) @ pose_from_features(state[block][:7])
     return tip_T_block if np.linalg.norm(tip_T_block[:3, 3]) < 0.06 else None
 
 
-def _block_yaw(state: State, block: Object) -> float:
-    return float(yaw_of(state.get(block, "qw", "qx", "qy", "qz")))
+def heading(state: State, obj: Object) -> float:
+    """Of an object's x axis in the world, rad."""
+    return float(yaw_of(state.get(obj, "qw", "qx", "qy", "qz")))
 
 
 def yaw_tip(state: State, robot: Object) -> float:

@@ -39,7 +39,7 @@ def embodiment_of(domain: Domain, rig: Rig | None) -> Embodiment:
         return domain.embodiment
     from resync_robot.arm_embodiment import arm_embodiment  # its simulator takes seconds to import
 
-    return arm_embodiment(_required(rig))
+    return arm_embodiment(_required(rig), domain.operators)
 
 
 def initial_model(domain: Domain, rig: Rig | None) -> Model:
@@ -51,9 +51,9 @@ def initial_model(domain: Domain, rig: Rig | None) -> Model:
     if domain.embodiment is not None:
         given = domain.embodiment.skills()
     else:
-        from resync_robot.policies.scripted import scripted_skills
+        from resync_robot.policies.given_skills import given_skills
 
-        given = scripted_skills(_required(rig))
+        given = given_skills(_required(rig), domain.operators)
     skills = {s.name: s for s in given}
     return Model(skills, Abstraction(domain.predicates, domain.classifiers), domain.operators)
 

@@ -18,7 +18,8 @@ from tests.scenes import B0
 def pose_cornered(count: int) -> Problem:
     """With so many of the scenario's worlds to begin in."""
     rig = load_rig()
-    domain, embodiment = find_domain("cornered-insertion-s"), arm_embodiment(rig)
+    domain = find_domain("cornered-insertion-s")
+    embodiment = arm_embodiment(rig, domain.operators)
     scenario = domain.scenario("s0")
     tasks = [scenario.sample(np.random.default_rng(seed), seed) for seed in range(count)]
     robot, box = (next(o for o in tasks[0].objects if o.type == kind) for kind in (ROBOT, BOX))

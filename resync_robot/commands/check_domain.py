@@ -54,7 +54,7 @@ def check_domain(config: CheckDomainConfig) -> int:
     check_range("--worlds", config.worlds, 1, MOST_WORLDS)
     if config.sheet is not None:
         check_output(config.sheet, PNG, option="--sheet")
-    domain = open_domain(config.domain, DOMAINS)
+    domain = with_robot(open_domain(config.domain, DOMAINS))
     findings = []
     for finding in examine(domain, config.worlds):
         findings.append(finding)
@@ -67,6 +67,24 @@ def check_domain(config: CheckDomainConfig) -> int:
         _draw_sheet(domain, config.sheet)
         say(f"Contact sheet: {config.sheet}")
     return 0 if healthy else 2
+
+
+def with_robot(domain: Domain) -> Domain:
+    """The same with the simulated arm, where it brings no robot and the arm has a skill for each of its operators."""
+    from dataclasses import replace
+
+    from resync_robot.core.domain_faults import faults
+    from resync_robot.core.rig import load_rig
+    from resync_robot.policies.given_skills import given_skills
+
+    if domain.embodiment is not None or list(faults(domain)):
+        return domain
+    rig = load_rig()
+    if {s.name for s in given_skills(rig, domain.operators)} != {o.name for o in domain.operators}:
+        return domain
+    from resync_robot.library_models import embodiment_of
+
+    return replace(domain, embodiment=embodiment_of(domain, rig))
 
 
 def _draw_sheet(domain: Domain, path: Path) -> None:

@@ -8,13 +8,16 @@ import numpy as np
 
 from resync_robot.core.task import Domain, Task
 from resync_robot.sim_training.domains.blocked_stacking import BLOCKED_STACKING
+from resync_robot.sim_training.domains.cornered_insertion_l.domain import CORNERED_INSERTION_L
 from resync_robot.sim_training.domains.cornered_insertion_s.domain import CORNERED_INSERTION_S
 from resync_robot.sim_training.domains.finding import load_domain
 from resync_robot.sim_training.domains.icy_transport import ICY_TRANSPORT
 from resync_robot.sim_training.physics.lights import HARD, draw_lighting
 from resync_robot.sim_training.physics.solver import SHIPPED, Solver, with_solver
 
-DOMAINS: dict[str, Domain] = {d.name: d for d in (CORNERED_INSERTION_S, BLOCKED_STACKING, ICY_TRANSPORT)}
+DOMAINS: dict[str, Domain] = {
+    d.name: d for d in (CORNERED_INSERTION_S, CORNERED_INSERTION_L, BLOCKED_STACKING, ICY_TRANSPORT)
+}
 
 
 def find_domain(spec: str) -> Domain:

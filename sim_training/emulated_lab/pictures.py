@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sapien import Pose
 
 from resync_robot.core import spatial
 from resync_robot.core.errors import ResyncError
@@ -67,10 +66,9 @@ class Pictures:
         if world is None:
             raise ResyncError("no scene has been laid out yet")
         world.built.set_configuration(np.array(request["q"]), float(request["opening"]))
-        for obj, body in world.built.rigid.items():
-            if body is not None and obj.name in request["objects"]:
-                features = np.array(request["objects"][obj.name])
-                body.entity.set_pose(Pose(features[:3], features[3:7]))
+        for obj in world.movable:
+            if obj.name in request["objects"]:
+                world.place(obj, np.array(request["objects"][obj.name]))
         name, time = str(request["camera"]), float(request.get("time", 0.0))
         if request.get("film"):
             colour = self._sensors[name].glimpse(world.render_colour(name).colour, time)

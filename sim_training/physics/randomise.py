@@ -16,6 +16,9 @@ from resync_robot.sim_training.physics.solver import MOST_ITERATIONS, SHIPPED, S
 BLOCK_HUES = {"b0": 0.00, "b1": 0.60, "b2": 0.14, "b3": 0.36}
 """Red, blue, yellow, green: what tells the blocks apart for a camera."""
 
+FITTING_HUES = {"lid": 0.80, "drawer": 0.48, "drawer_cabinet": 0.25}
+"""Purple, turquoise, and the green of limes."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Ranges:
@@ -76,6 +79,27 @@ def draw_physics(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges
     return physics | ({"solver": draw_solver(rng)} if ranges.solver else {})
 
 
+def draw_fittings(rng: np.random.Generator, ranges: Ranges = USUAL) -> dict[str, Any]:
+    """Physics and looks of a lid, and of a drawer, which it takes `stiction` N to move; and how far pads yield.
+
+    Between rigid pads one block of a tower is always a hair wider, and carries the whole grip.
+    """
+    lid = {"mass": ranges.draw(rng, 0.3, 0.5), "friction": ranges.draw(rng, 0.3, 0.5)}
+    drawer = {
+        "mass": ranges.draw(rng, 0.4, 0.7),
+        "friction": ranges.draw(rng, 0.25, 0.4),
+        "stiction": ranges.draw(rng, 1.5, 4.0),
+    }
+    looks = {name: _coloured(rng, hue) for name, hue in FITTING_HUES.items()}
+    steel = rng.uniform(0.25, 0.45)
+    drawer_looks = {"colour": looks["drawer"], "cabinet_colour": looks["drawer_cabinet"], "handle_colour": (steel,) * 3}
+    return {
+        "lid": {**lid, "colour": looks["lid"]},
+        "drawer": {**drawer, **drawer_looks},
+        "pad_stiffness": ranges.draw(rng, 0.75e4, 1.5e4),
+    }
+
+
 def draw_solver(rng: np.random.Generator) -> Solver:
     """The shipped physics, solved a little more coarsely or more finely, with other contacts."""
     iterations = round(SHIPPED.iterations * float(np.exp(rng.uniform(np.log(0.8), np.log(1.25)))))
@@ -89,10 +113,7 @@ def draw_solver(rng: np.random.Generator) -> Solver:
 
 def draw_looks(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges = USUAL) -> dict[str, Any]:
     """Colours near the catalogue's, surfaces, lamps, and the settings of the camera."""
-    colours = {}
-    for name in blocks:
-        hue = (BLOCK_HUES.get(name, 0.8) + rng.uniform(-0.02, 0.02)) % 1.0
-        colours[name] = colorsys.hsv_to_rgb(hue, rng.uniform(0.8, 0.95), rng.uniform(0.65, 0.9))
+    colours = {name: _coloured(rng, BLOCK_HUES.get(name, 0.8)) for name in blocks}
     grey, wood = rng.uniform(0.28, 0.42), rng.uniform(0.9, 1.1)
     looks: dict[str, Any] = {
         "colours": colours,
@@ -108,3 +129,9 @@ def draw_looks(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges =
             what: textures.draw_surface(own, ranges.surfaces, shade) for what, shade in (("table", 1.0), ("box", 0.6))
         }
     return looks
+
+
+def _coloured(rng: np.random.Generator, hue: float) -> tuple[float, float, float]:
+    """(r, g, b) of a strong colour near a hue."""
+    hue = (hue + rng.uniform(-0.02, 0.02)) % 1.0
+    return colorsys.hsv_to_rgb(hue, rng.uniform(0.8, 0.95), rng.uniform(0.65, 0.9))

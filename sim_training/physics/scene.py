@@ -1,4 +1,4 @@
-"""Builds one SAPIEN scene from a rig and a task: arm, table, box, blocks, lights, cameras."""
+"""Builds one SAPIEN scene from a rig and a task: arm, table, all that stands on it, lights, cameras."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from resync_robot.core.machines import ARMS
 from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
-from resync_robot.core.vocabulary import BLOCK, BOX
+from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID
 from resync_robot.core.world import Window
-from resync_robot.sim_training.physics import parts, textures
+from resync_robot.sim_training.physics.bodies import add_block, add_box, add_table, entity_at, material
+from resync_robot.sim_training.physics.fittings import SlidingDrawer, add_lid
 from resync_robot.sim_training.physics.lights import add_lights
 from resync_robot.sim_training.physics.solver import Solver, solver_of
 
@@ -32,6 +33,10 @@ TARGET_PERIOD = 0.02
 STIFFNESS, DAMPING = 6000.0, 300.0
 TORQUE = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 FINGER_STIFFNESS, FINGER_DAMPING = 3000.0, 150.0
+
+
+BODIES = {BLOCK: add_block, BOX: add_box, LID: add_lid}
+"""How a thing of a type is added, where it is one body."""
 
 
 def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
@@ -55,12 +60,12 @@ def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
     physics = task.physics
     robot = add_robot(scene, rig, physics, rendered)
     add_table(scene, physics, rendered)
-    bodies = {}
+    bodies, drawers = {}, {}
     for obj in task.objects:
-        if obj.type == BOX:
-            bodies[obj] = add_box(scene, obj, task, rendered)
-        elif obj.type == BLOCK:
-            bodies[obj] = add_block(scene, obj, task, rendered)
+        if obj.type == DRAWER:
+            drawers[obj] = SlidingDrawer(scene, obj, task, rendered)
+        elif obj.type in BODIES:
+            bodies[obj] = BODIES[obj.type](scene, obj, task, rendered)
     cameras = {}
     if rendered:
         for camera in rig.cameras:
@@ -68,7 +73,7 @@ def build_scene(task: Task, rig: Rig, rendered: bool) -> BuiltScene:
             look_through(cameras[camera.name], camera, whole_picture(camera))
     if rendered:
         add_lights(scene, physics.get("light", {}))
-    return BuiltScene(scene, robot, bodies, cameras, float(physics.get("gain", 1.0)), solver)
+    return BuiltScene(scene, robot, bodies, cameras, float(physics.get("gain", 1.0)), solver, drawers)
 
 
 class BuiltScene:
@@ -82,8 +87,9 @@ class BuiltScene:
         cameras: Mapping[str, render.RenderCameraComponent],
         gain: float,
         solver: Solver,
+        drawers: Mapping[Object, SlidingDrawer] | None = None,
     ) -> None:
-        self.solver = solver
+        self.solver, self.drawers = solver, dict(drawers or {})
         self.stiffness, self.damping = STIFFNESS * gain, DAMPING * gain
         self.scene, self.robot, self.bodies, self.cameras = scene, robot, dict(bodies), dict(cameras)
         joints = {j.name: j for j in robot.active_joints}
@@ -133,23 +139,6 @@ class BuiltScene:
             joint.set_drive_target(opening / 2)
 
 
-def _material(friction: float, solver: Solver) -> physx.PhysxMaterial:
-    return physx.PhysxMaterial(friction, friction, solver.restitution)
-
-
-def _visual(
-    colour: Any, roughness: float = 0.6, metallic: float = 0.0, surface: Mapping[str, Any] | None = None
-) -> render.RenderMaterial:
-    material = render.RenderMaterial()
-    if surface is not None:
-        colour, roughness, metallic = surface["colour"], surface["roughness"], surface["metallic"]
-        pixels = textures.surface(surface["kind"], surface["seed"], surface["contrast"], tuple(map(float, colour)))
-        material.base_color_texture = render.RenderTexture2D(pixels, "R8G8B8A8Unorm")
-    material.base_color = [*(float(c) for c in colour[:3]), 1.0]
-    material.roughness, material.metallic, material.specular = roughness, metallic, 0.3
-    return material
-
-
 @cache
 def urdf_path() -> str:
     """Where the robot's description lies."""
@@ -192,7 +181,8 @@ def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendere
     builder.initial_pose = sapien.Pose(rig.arm.world_T_base)
     robot = builder.build(fix_root_link=True)
     solver = solver_of(physics)
-    pad, steel = _material(physics["friction_pad"], solver), _material(0.3, solver)
+    pad = material(physics["friction_pad"], solver, physics.get("pad_stiffness"))
+    steel = material(0.3, solver)
     for link in robot.links:
         link.disable_gravity = True
         for shape in link.collision_shapes:
@@ -210,116 +200,6 @@ def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendere
     return robot
 
 
-def _entity(scene: sapien.Scene, name: str, pose: sapien.Pose) -> sapien.Entity:
-    entity = sapien.Entity()
-    entity.name = name
-    entity.set_pose(pose)
-    return entity
-
-
-def _attach_shapes(
-    body: physx.PhysxRigidBaseComponent,
-    look: render.RenderBodyComponent | None,
-    shapes: list[parts.Convex | parts.Cuboid],
-    friction: float,
-    solver: Solver,
-    paint: Any,
-) -> None:
-    material = _material(friction, solver)
-    for shape in shapes:
-        if isinstance(shape, parts.Cuboid):
-            solid = physx.PhysxCollisionShapeBox(shape.half.astype(np.float32), material)
-            solid.local_pose = sapien.Pose(shape.centre)
-        else:
-            scale = np.ones(3, dtype=np.float32)
-            solid = physx.PhysxCollisionShapeConvexMesh(shape.vertices.astype(np.float32), scale, material)
-        solid.contact_offset = solver.contact_offset
-        body.attach(solid)
-    if look is not None:
-        attach_looks(look, shapes, paint)
-
-
-def attach_looks(
-    look: render.RenderBodyComponent, shapes: list[parts.Convex | parts.Cuboid], paint: render.RenderMaterial
-) -> None:
-    """Let a body look like these shapes."""
-    for shape in shapes:
-        if isinstance(shape, parts.Cuboid):
-            drawn = render.RenderShapeBox(shape.half.astype(np.float32), paint)
-            drawn.local_pose = sapien.Pose(shape.centre)
-        else:
-            vertices, triangles, normals = parts.hull_triangles(shape.vertices)
-            uvs = np.zeros((len(vertices), 2), dtype=np.float32)
-            drawn = render.RenderShapeTriangleMesh(
-                vertices.astype(np.float32), triangles, normals.astype(np.float32), uvs, paint
-            )
-        look.attach(drawn)
-
-
-def add_table(scene: sapien.Scene, physics: Mapping[str, Any], rendered: bool) -> None:
-    slab = parts.Cuboid(np.array([0.35, -0.05, -0.02]), np.array([0.75, 0.75, 0.02]))
-    colour = physics.get("table_colour", (0.75, 0.68, 0.58))
-    paint = _visual(colour, surface=physics.get("surfaces", {}).get("table")) if rendered else None
-    _add_static(scene, "table", sapien.Pose(), [slab], 0.4, solver_of(physics), paint)
-
-
-def _add_static(
-    scene: sapien.Scene,
-    name: str,
-    pose: sapien.Pose,
-    shapes: Any,
-    friction: float,
-    solver: Solver,
-    paint: render.RenderMaterial | None,
-) -> sapien.Entity:
-    entity = _entity(scene, name, pose)
-    body = physx.PhysxRigidStaticComponent()
-    look = render.RenderBodyComponent() if paint is not None else None
-    _attach_shapes(body, look, shapes, friction, solver, paint)
-    entity.add_component(body)
-    if look is not None:
-        entity.add_component(look)
-    scene.add_entity(entity)
-    return entity
-
-
-def add_box(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
-    shapes = parts.box_shapes(*task.initial.get(obj, "inner_x", "inner_y", "wall_z", "wall_thickness"))
-    pose = _pose(task.initial[obj][:7])
-    colour = task.physics.get("box_colour", (0.35, 0.37, 0.40))
-    paint = _visual(colour, surface=task.physics.get("surfaces", {}).get("box")) if rendered else None
-    solver = solver_of(task.physics)
-    return _add_static(scene, obj.name, pose, shapes, task.physics["friction_box"], solver, paint)
-
-
-def add_block(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
-    size = task.initial.get(obj, "size_x", "size_y", "size_z")
-    colour = task.physics["colours"][obj.name]
-    entity = _entity(scene, obj.name, _pose(task.initial[obj][:7]))
-    body = physx.PhysxRigidDynamicComponent()
-    look = render.RenderBodyComponent() if rendered else None
-    solver = solver_of(task.physics)
-    paint = _visual(colour, roughness=float(task.physics.get("gloss", 0.45))) if rendered else None
-    _attach_shapes(body, look, parts.block_shapes(tuple(size)), task.physics["friction_block"], solver, paint)
-    # A hollow socket shifts mass and inertia little; a solid cuboid's inertia is what the blocks have.
-    mass = float(task.physics["masses"][obj.name]) * solver.inertia
-    body.mass = mass
-    body.inertia = (
-        mass / 12 * np.array([size[1] ** 2 + size[2] ** 2, size[0] ** 2 + size[2] ** 2, size[0] ** 2 + size[1] ** 2])
-    ).astype(np.float32)
-    body.solver_position_iterations = solver.iterations
-    body.linear_damping, body.angular_damping = 0.05, 0.1
-    entity.add_component(body)
-    if look is not None:
-        entity.add_component(look)
-    scene.add_entity(entity)
-    return entity
-
-
-def _pose(features: np.ndarray) -> sapien.Pose:
-    return sapien.Pose(np.asarray(features[:3]), np.asarray(features[3:7]))
-
-
 def add_camera(
     scene: sapien.Scene,
     robot: physx.PhysxArticulation,
@@ -335,7 +215,7 @@ def add_camera(
     if camera.mount == "flange":
         next(link for link in robot.links if link.name == "flange").entity.add_component(component)
     else:
-        entity = _entity(scene, f"camera_{camera.name}", sapien.Pose())
+        entity = entity_at(f"camera_{camera.name}", sapien.Pose())
         entity.add_component(component)
         scene.add_entity(entity)
     place_camera(component, camera, pose)

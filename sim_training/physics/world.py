@@ -16,7 +16,7 @@ from resync_robot.core.rig import Rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
-from resync_robot.core.vocabulary import BLOCK, ROBOT
+from resync_robot.core.vocabulary import BLOCK, LID, ROBOT
 from resync_robot.core.world import ArmObservation, CameraFrame, Cutout, Glimpse, Window
 from resync_robot.sim_training.physics.scene import (
     TORQUE,
@@ -45,6 +45,7 @@ class Snapshot:
     qvel: np.ndarray
     target: JointTarget
     bodies: dict[Object, tuple[np.ndarray, np.ndarray, np.ndarray]]
+    drawers: dict[Object, tuple[float, float]]
 
 
 class SimWorld:
@@ -62,7 +63,7 @@ class SimWorld:
         self.period = self.built.solver.period
         self.time = 0.0
         self.robot_object = next(o for o in task.objects if o.type == ROBOT)
-        self._blocks = [o for o in task.objects if o.type == BLOCK]
+        self._loose = [o for o in task.objects if o.type in (BLOCK, LID)]
         self._target = JointTarget(rig.arm.home.copy(), rig.gripper.max_opening)
         self._small: dict[tuple[str, int], RenderCameraComponent] = {}
         self._hooks: list[Callable[[SimWorld], None]] = []
@@ -123,20 +124,29 @@ class SimWorld:
     def state(self, q: np.ndarray, opening: float) -> State:
         features = {o: self.task.initial[o] for o in self.task.objects}
         features[self.robot_object] = self.rig.robot_features(q, opening)
-        for obj in self._blocks:
+        for obj in self._loose:
             pose = self.built.rigid[obj].entity_pose
             features[obj] = np.concatenate([features_of(pose), self.task.initial[obj][7:]])
+        for obj, drawer in self.built.drawers.items():
+            features[obj] = drawer.features(self.task.initial[obj])
         return State(features)
 
+    @property
+    def movable(self) -> tuple[Object, ...]:
+        """Blocks, lids and drawers: what `place` can put somewhere."""
+        return (*self._loose, *self.built.drawers)
+
     def place(self, obj: Object, features: np.ndarray) -> None:
-        """Put a block at rest at (7,) x y z qw qx qy qz."""
+        """Put it at rest at (7,) x y z qw qx qy qz; of a drawer these say how far it is open."""
+        if obj in self.built.drawers:
+            return self.built.drawers[obj].place(features)
         body = self.built.rigid[obj]
         body.entity.set_pose(Pose(np.asarray(features[:3]), np.asarray(features[3:7])))
         body.linear_velocity, body.angular_velocity = np.zeros(3), np.zeros(3)
         body.wake_up()
 
     def reset(self, state: State) -> bool:
-        """Put everything at rest where `state` has it. Returns whether the arm reaches there and the blocks stay."""
+        """Put everything at rest where `state` has it. Returns whether the arm reaches there and all else stays."""
         rig, features = self.rig, state[self.robot_object]
         tip = spatial.pose_from_features(features[:7])
         base_T_flange = spatial.inverse(rig.arm.world_T_base) @ tip @ spatial.inverse(rig.gripper.flange_T_tip)
@@ -146,17 +156,17 @@ class SimWorld:
             return False
         self.time, self._target = 0.0, JointTarget(q, float(features[7]))
         self.built.set_configuration(q, self._target.opening)
-        for obj in self._blocks:
+        for obj in self.movable:
             self.place(obj, state[obj])
         return self.settles()
 
     def settles(self) -> bool:
-        """Let the scene come to rest; does every block stay where it is?"""
+        """Let the scene come to rest; does everything stay where it is?"""
         before = self.perceive()
         for _ in range(self.built.solver.steps(SETTLING)):
             self.step()
         after = self.perceive()
-        return all(np.linalg.norm(after[b][:3] - before[b][:3]) < MOVED for b in self._blocks)
+        return all(np.linalg.norm(after[b][:3] - before[b][:3]) < MOVED for b in self.movable)
 
     def contacts(self) -> dict[Object, float]:
         """The objects that the hand touches now, and with which force in N; not what a block in it touches."""
@@ -164,11 +174,12 @@ class SimWorld:
 
     def save(self) -> Snapshot:
         bodies = {}
-        for obj in self._blocks:
+        for obj in self._loose:
             body = self.built.rigid[obj]
             bodies[obj] = (features_of(body.entity_pose), body.linear_velocity.copy(), body.angular_velocity.copy())
         robot = self.built.robot
-        return Snapshot(self.time, robot.qpos.copy(), robot.qvel.copy(), self._target, bodies)
+        drawers = {obj: drawer.motion for obj, drawer in self.built.drawers.items()}
+        return Snapshot(self.time, robot.qpos.copy(), robot.qvel.copy(), self._target, bodies, drawers)
 
     def restore(self, snapshot: Snapshot) -> None:
         self.time = snapshot.time
@@ -178,10 +189,14 @@ class SimWorld:
         for obj, (pose, linear, angular) in snapshot.bodies.items():
             self.place(obj, pose)
             self.built.rigid[obj].linear_velocity, self.built.rigid[obj].angular_velocity = linear, angular
+        for obj, motion in snapshot.drawers.items():
+            self.built.drawers[obj].motion = motion
 
     def hand_contacts(self) -> list[tuple[Object | None, float]]:
         """What the hand touches now and with which force in N; None stands for the table."""
         named = {entity: obj for obj, entity in self.built.bodies.items()}
+        for obj, drawer in self.built.drawers.items():
+            named |= {drawer.entity: obj, drawer.cabinet: obj}
         hand = {link.entity for link in self.built.hand}
         found: dict[Object | None, float] = {}
         for contact in self.built.scene.get_contacts():

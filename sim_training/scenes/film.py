@@ -23,8 +23,9 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.hardware.clearance import link_segments
 from resync_robot.sim_training.physics import parts
+from resync_robot.sim_training.physics.bodies import attach_looks
 from resync_robot.sim_training.physics.randomise import BLOCK_HUES
-from resync_robot.sim_training.physics.scene import attach_looks, colour_of, require_renderer
+from resync_robot.sim_training.physics.scene import colour_of, require_renderer
 
 STEEL, DARK, BLUE = (0.70, 0.72, 0.75), (0.055, 0.06, 0.07), (0.16, 0.34, 0.56)
 BOX_COLOUR, TABLE, FLOOR = (0.42, 0.44, 0.47), (0.66, 0.60, 0.52), (0.30, 0.32, 0.35)

@@ -1,6 +1,7 @@
 """check-domain: a table, an exit code, a picture."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from PIL import Image
 
 from resync_robot import cli
+from resync_robot.commands.check_domain import with_robot
+from resync_robot.sim_training.domains import find_domain
 from tests.domains import PUCK_DOMAIN, PUCK_FILE
 
 
@@ -39,3 +42,21 @@ def test_it_writes_over_no_file_of_another_kind(tmp_path: Path, capsys: pytest.C
     kept.write_text("mine")
     assert cli.main(["check-domain", str(PUCK_FILE), "--sheet", str(kept)]) == 2
     assert kept.read_text() == "mine" and "it is left as it is" in capsys.readouterr().err
+
+
+def test_a_domain_of_the_arm_is_looked_at_with_the_arm_and_no_other_one_is_given_it() -> None:
+    for name in ("cornered-insertion-s", "cornered-insertion-l"):
+        domain = with_robot(find_domain(name))
+        assert domain.embodiment is not None
+        assert {s.name for s in domain.embodiment.skills()} == {o.name for o in domain.operators}
+    assert with_robot(PUCK_DOMAIN) is PUCK_DOMAIN
+    without = replace(PUCK_DOMAIN, embodiment=None)
+    assert with_robot(without) is without
+
+
+@pytest.mark.slow
+def test_cornered_insertion_l_keeps_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["check-domain", "cornered-insertion-l", "--worlds", "2", "--json"]) == 0
+    found = {f["name"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
+    assert found["given model: free"]["status"] == found["given model: l0"]["status"] == "ok"
+    assert "box" in found["given model: l0"]["detail"]

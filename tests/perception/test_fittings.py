@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from resync_robot.core import spatial
 from resync_robot.core.errors import ConfigError, UnknownNameError
+from resync_robot.core.fittings import Drawer, Lid
 from resync_robot.core.rig import Rig
 from resync_robot.core.vocabulary import BOX, DRAWER, LID, ROBOT
 from resync_robot.perception.belief import Belief
-from resync_robot.perception.catalogue import Catalogue, Lid
+from resync_robot.perception.catalogue import Catalogue
 from resync_robot.perception.fittings import FittingEstimate
 from resync_robot.perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError
 from resync_robot.perception.objects import SceneEstimate, SceneEstimator
@@ -24,8 +25,9 @@ from resync_robot.sim_training.physics.camera_noise import NoisySensor
 from tests.perception.raycast import CENTRE, FLOOR, INNER, RIM, Table
 
 COLOURS = {**Catalogue().hues, "lid": 0.80, "drawer": 0.48, "drawer_cabinet": 0.25}
-FURNISHED = Catalogue(hues=COLOURS)
-OBLONG = Catalogue(hues=COLOURS, lids={"lid": Lid(size=(0.20, 0.14, 0.010))})
+SMALL = {"drawer": Drawer(front=(0.012, 0.14, 0.060), cabinet=(0.10, 0.14, 0.070), travel=0.08)}
+FURNISHED = Catalogue(hues=COLOURS, lids={"lid": Lid(size=(0.33, 0.33, 0.012))}, drawers=SMALL)
+OBLONG = Catalogue(hues=COLOURS, lids={"lid": Lid(size=(0.20, 0.14, 0.010))}, drawers=SMALL)
 ROBOT_FEATURES = np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, 0.14])
 
 ON_THE_RIM = (0.476, 0.004, RIM, 0.05)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from resync_robot.core import spatial
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atoms
+from resync_robot.core.symbols import Atoms, Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.sim_training.domains.cornered_insertion_s.corner import at_walls, block_features
@@ -28,6 +29,9 @@ FREE_GAP = 0.045
 APART = 0.16
 """Least distance between the centres of a cornered block and a free one in the box, m: room to be dragged into."""
 
+WIDTHS = (0.046, 0.070)
+"""Of a set of blocks, m."""
+
 
 def sample_box(rng: np.random.Generator) -> np.ndarray:
     """(11,) features of the box: where it stands on the table, and how large it is."""
@@ -36,9 +40,14 @@ def sample_box(rng: np.random.Generator) -> np.ndarray:
     return np.array([x, y, BOX_FLOOR, *spatial.quat_from_yaw(yaw), *inner, rng.uniform(0.10, 0.115), 0.03])
 
 
-def sample_block_sizes(rng: np.random.Generator, names: Sequence[str], ranges: Ranges = USUAL) -> dict[str, np.ndarray]:
+def sample_block_sizes(
+    rng: np.random.Generator,
+    names: Sequence[str],
+    ranges: Ranges = USUAL,
+    widths: tuple[float, float] = WIDTHS,
+) -> dict[str, np.ndarray]:
     """(3,) extents of each body: one footprint for the set, as building blocks have, and a height each."""
-    width = ranges.draw(rng, 0.046, 0.070)
+    width = ranges.draw(rng, *widths)
     sizes = {}
     for name in names:
         # Moulded building blocks agree to a hundredth of a millimetre. Rubber pads would bear more; rigid ones do not.
@@ -88,6 +97,7 @@ class Layout:
         gapped: in a corner with `MIDDLING_GAP` to each of the walls.
         free: with room on all sides, in the box or on the table.
         in_box: probability that a free block stands in the box.
+        widths: between which that of the blocks is drawn, m.
     """
 
     cornered: tuple[str, ...] = ()
@@ -95,6 +105,7 @@ class Layout:
     gapped: tuple[str, ...] = ()
     free: tuple[str, ...] = ()
     in_box: float = 0.5
+    widths: tuple[float, float] = WIDTHS
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -103,11 +114,35 @@ class Layout:
 
 def sample_task(rng: np.random.Generator, seed: int, goal: Atoms, layout: Layout, ranges: Ranges = USUAL) -> Task:
     """A task with every block where `layout` wants it."""
-    rig = load_rig()
+    features, _ = lay_out(rng, layout, ranges)
+    names = sorted(o.name for o in features if o.type == BLOCK)
+    features[R] = robot_at_home()
+    state = State(features)
+    return Task(state.objects, state, goal, draw_physics(rng, names, ranges), seed)
+
+
+def robot_at_home() -> np.ndarray:
+    """(8,) features of a robot that has done nothing yet."""
+    return np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, load_rig().gripper.max_opening])
+
+
+def lay_out(
+    rng: np.random.Generator,
+    layout: Layout,
+    ranges: Ranges = USUAL,
+    on_table: Callable[[np.random.Generator, np.ndarray], tuple[float, float, float]] = free_on_table,
+    apart_there: float = APART,
+) -> tuple[dict[Object, np.ndarray], dict[str, np.ndarray]]:
+    """Features of a box and of every block in it or on the table, and the sizes of all blocks by name.
+
+    Args:
+        on_table: where a free block stands that is not in the box, as `free_on_table` does.
+        apart_there: least distance between the centres of two of these, m.
+    """
     while True:
         box = sample_box(rng)
         corners = iter(rng.permutation(4))
-        sizes = sample_block_sizes(rng, layout.names, ranges)
+        sizes = sample_block_sizes(rng, layout.names, ranges, layout.widths)
         local: dict[str, tuple[float, float, float]] = {}
         outside: set[str] = set()
         for name in layout.cornered:
@@ -120,17 +155,17 @@ def sample_task(rng: np.random.Generator, seed: int, goal: Atoms, layout: Layout
             if rng.random() < layout.in_box:
                 local[name] = free_in_box(rng, box, sizes[name][0])
             else:
-                local[name] = free_on_table(rng, box)
+                local[name] = on_table(rng, box)
                 outside.add(name)
-        if _apart(local):
+        if _apart(local, outside, apart_there):
             break
     features = {BLOCK(n): block_features(box, local[n], sizes[n], n in outside) for n in sorted(local)}
-    features[THE_BOX] = box
-    features[R] = np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, rig.gripper.max_opening])
-    state = State(features)
-    return Task(state.objects, state, goal, draw_physics(rng, sorted(local), ranges), seed)
+    return {**features, THE_BOX: box}, sizes
 
 
-def _apart(local: dict[str, tuple[float, float, float]]) -> bool:
-    places = [np.array(p[:2]) for p in local.values()]
-    return all(np.linalg.norm(a - b) > APART for i, a in enumerate(places) for b in places[i + 1 :])
+def _apart(local: dict[str, tuple[float, float, float]], outside: set[str], apart_there: float) -> bool:
+    """Whether no two blocks are nearer to each other than they may be."""
+    return all(
+        np.hypot(local[a][0] - local[b][0], local[a][1] - local[b][1]) > (apart_there if {a, b} <= outside else APART)
+        for a, b in combinations(local, 2)
+    )

@@ -44,7 +44,7 @@ from resync_robot.learning.terminals import Terminal
 from resync_robot.sim_training.domains.cornered_insertion_s.domain import CORNERED_INSERTION_S
 from resync_robot.sim_training.domains.cornered_insertion_s.maniskill_robot import Ur7e2f140
 from resync_robot.sim_training.failed_worlds import CONTROL_PERIOD, FailedWorlds
-from resync_robot.sim_training.physics.scene import add_block, add_box, add_table
+from resync_robot.sim_training.physics.bodies import add_block, add_box, add_table
 from resync_robot.sim_training.physics.solver import SHIPPED, solver_of
 
 ENVIRONMENT = "ResyncCorneredInsertionS-v1"

@@ -1,0 +1,158 @@
+"""What can be told of a scene with a lid and a drawer, and what the given skills are believed to need and to change.
+
+The given operators know lid, drawer and towers. They do not know what a corner is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from resync_robot.core import fittings, spatial
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object, Operator, Predicate, Variable
+from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID, ROBOT
+from resync_robot.sim_training.domains.cornered_insertion_s import domain as small
+from resync_robot.sim_training.domains.cornered_insertion_s.corner import half_width
+from resync_robot.sim_training.domains.cornered_insertion_s.domain import HAND_EMPTY, HOLDING, ON
+
+OPEN = 0.14
+"""m from which on a drawer is open: what a tower and the fingers around it need, and a little more."""
+CLOSED = 0.006
+"""m up to which it is closed."""
+ON_THE_FLOOR = 0.006
+"""m that the underside of a block in a drawer may be from its floor."""
+
+HOLDING_TOWER = Predicate("HoldingTower", (ROBOT, BLOCK, BLOCK))
+LID_ON = Predicate("LidOn", (LID,))
+LID_OFF = Predicate("LidOff", ())
+DRAWER_OPEN = Predicate("DrawerOpen", (DRAWER,))
+DRAWER_CLOSED = Predicate("DrawerClosed", (DRAWER,))
+IN = Predicate("In", (BLOCK, DRAWER))
+
+PREDICATES = (HAND_EMPTY, HOLDING, HOLDING_TOWER, ON, LID_ON, LID_OFF, DRAWER_OPEN, DRAWER_CLOSED, IN)
+
+
+def holding_tower(state: State, objects: tuple[Object, ...]) -> float:
+    """Is the lower block between the pads, and the upper one seated on it?"""
+    robot, upper, lower = objects
+    return min(small.holding(state, (robot, lower)), small.on(state, (upper, lower)))
+
+
+def hand_empty(state: State, objects: tuple[Object, ...]) -> float:
+    """Is neither a block nor the knob of a lid between the pads?"""
+    of_lids = max((_holding_knob(state, objects[0], lid) for lid in state.of_type(LID)), default=0.0)
+    return min(small.hand_empty(state, objects), 1.0 - of_lids)
+
+
+def _holding_knob(state: State, robot: Object, lid: Object) -> float:
+    if state.get(robot, "opening")[0] >= fittings.LID.knob[0] + 0.008:
+        return 0.0
+    tip_T_lid = spatial.inverse(spatial.pose_from_features(state[robot][:7])) @ spatial.pose_from_features(
+        state[lid][:7]
+    )
+    knob = tip_T_lid @ np.array([0.0, 0.0, (state.get(lid, "size_z")[0] + fittings.LID.knob[2]) / 2, 1.0])
+    return float(np.all(np.abs(knob[:3]) < [0.02, 0.02, 0.04]))
+
+
+def lid_on(state: State, objects: tuple[Object, ...]) -> float:
+    """Does the lid cover any of the inside of a box?"""
+    (lid,) = objects
+    side = float(state.get(lid, "size_x", "size_y").max())
+    for box in state.of_type(BOX):
+        local = spatial.inverse(spatial.pose_from_features(state[box][:7])) @ spatial.pose_from_features(state[lid][:7])
+        heading = np.arctan2(local[1, 0], local[0, 0])
+        between = np.abs(local[:2, 3]) - state.get(box, "inner_x", "inner_y") / 2 - half_width(side, heading)
+        if np.all(between < 0):
+            return 1.0
+    return 0.0
+
+
+def lid_off(state: State, objects: tuple[Object, ...]) -> float:
+    """Is every box uncovered?"""
+    return 1.0 - max((lid_on(state, (lid,)) for lid in state.of_type(LID)), default=0.0)
+
+
+def drawer_open(state: State, objects: tuple[Object, ...]) -> float:
+    return float(state.get(objects[0], "opening")[0] >= OPEN)
+
+
+def drawer_closed(state: State, objects: tuple[Object, ...]) -> float:
+    return float(state.get(objects[0], "opening")[0] <= CLOSED)
+
+
+def in_drawer(state: State, objects: tuple[Object, ...]) -> float:
+    """Does the block stand on the floor of the drawer? What stands on it is in the drawer with it."""
+    block, drawer = objects
+    front_T_block = spatial.inverse(spatial.pose_from_features(state[drawer][:7])) @ spatial.pose_from_features(
+        state[block][:7]
+    )
+    behind, beside = -front_T_block[0, 3] - state.get(drawer, "size_x")[0] / 2, abs(front_T_block[1, 3])
+    z, height = state.get(block, "z", "size_z")
+    deep, wide, _ = fittings.DRAWER.tray
+    stands = abs(z - height / 2 - fittings.DRAWER.floor) < ON_THE_FLOOR and front_T_block[2, 2] > 0.95
+    return float(stands and 0 < behind < deep and beside < wide / 2)
+
+
+CLASSIFIERS = {
+    "HandEmpty": hand_empty,
+    "Holding": small.holding,
+    "HoldingTower": holding_tower,
+    "On": small.on,
+    "LidOn": lid_on,
+    "LidOff": lid_off,
+    "DrawerOpen": drawer_open,
+    "DrawerClosed": drawer_closed,
+    "In": in_drawer,
+}
+
+_r, _l, _d = Variable("?r", ROBOT), Variable("?l", LID), Variable("?d", DRAWER)
+_b, _b0, _b1 = (Variable(n, BLOCK) for n in ("?b", "?b0", "?b1"))
+_EMPTY, _UNCOVERED = HAND_EMPTY(_r), LID_OFF()
+
+OPERATORS = (
+    Operator(
+        "RemoveLid",
+        (_r, _l),
+        frozenset({_EMPTY, LID_ON(_l)}),
+        frozenset({_UNCOVERED}),
+        frozenset({LID_ON(_l)}),
+    ),
+    Operator("Pick", (_r, _b), frozenset({_EMPTY, _UNCOVERED}), frozenset({HOLDING(_r, _b)}), frozenset({_EMPTY})),
+    Operator(
+        "Insert",
+        (_r, _b0, _b1),
+        frozenset({HOLDING(_r, _b0), _UNCOVERED}),
+        frozenset({ON(_b0, _b1), _EMPTY}),
+        frozenset({HOLDING(_r, _b0)}),
+    ),
+    small.PLACE,
+    Operator(
+        "OpenDrawer",
+        (_r, _d),
+        frozenset({_EMPTY}),
+        frozenset({DRAWER_OPEN(_d)}),
+        frozenset({DRAWER_CLOSED(_d)}),
+    ),
+    Operator(
+        "PickTower",
+        (_r, _b0, _b1),
+        frozenset({_EMPTY, ON(_b0, _b1), _UNCOVERED}),
+        frozenset({HOLDING(_r, _b1), HOLDING_TOWER(_r, _b0, _b1)}),
+        frozenset({_EMPTY}),
+    ),
+    Operator(
+        "PlaceTower",
+        (_r, _b0, _b1, _d),
+        frozenset({HOLDING(_r, _b1), HOLDING_TOWER(_r, _b0, _b1), DRAWER_OPEN(_d)}),
+        frozenset({IN(_b1, _d), _EMPTY}),
+        frozenset({HOLDING(_r, _b1), HOLDING_TOWER(_r, _b0, _b1)}),
+    ),
+    Operator(
+        "CloseDrawer",
+        (_r, _d),
+        frozenset({_EMPTY}),
+        frozenset({DRAWER_CLOSED(_d)}),
+        frozenset({DRAWER_OPEN(_d)}),
+    ),
+)
+"""All that is given; of a drawer that is ajar both ways are open."""
