@@ -42,9 +42,9 @@ def test_it_is_about_the_robot_the_block_and_the_box(problem: Problem) -> None:
 
 def test_the_domain_says_of_its_stage_nothing_but_where_it_fails() -> None:
     """Neither success nor reward: what recovered means, only Pick says."""
-    stage = DOMAIN.stages[0]
+    stage, named = DOMAIN.stages[0], ("recovery", "scenario", "horizon", "interface", "on_device")
     assert replace(arm_stage(stage, load_rig()), interface=None) == stage
-    assert {name for name in vars(stage) if name not in ("recovery", "scenario", "horizon", "interface")} == set()
+    assert {name for name in vars(stage) if name not in named} == set()
     assert not {name for name in vars(Domain) if name in ("success", "reward", "potential", "is_recovered")}
 
 
