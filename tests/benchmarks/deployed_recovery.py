@@ -90,7 +90,7 @@ def main() -> None:
     parser.add_argument("--physics", choices=["shipped", "reference"], default="shipped")
     args = parser.parse_args()
     reference = args.physics == "reference"
-    rows = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.exists() else []
+    rows = [json.loads(line) for line in args.out.read_text(encoding="utf-8").splitlines()] if args.out.exists() else []
     known = {(r["looks"], r["seed"], r["reference"]) for r in rows}
     jobs = [(looks, FRESH + i, reference) for i in range(args.worlds) for looks in args.looks]
     todo = [job for job in jobs if job not in known]

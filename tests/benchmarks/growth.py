@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=10)
     args = parser.parse_args()
     torch.set_num_threads(1)
-    metrics = json.loads((args.run / "metrics.json").read_text())
+    metrics = json.loads((args.run / "metrics.json").read_text(encoding="utf-8"))
     print("| stage | minutes: dreams, concepts | objects | combinations | grounding ms | planning ms, p95 | steps |")
     print("|---|---|---|---|---|---|---|")
     for place in sorted((args.run / "stages").glob("*/library")):

@@ -71,7 +71,7 @@ def experience(known: Known, run: Path, base: Library, number: int, seed: int) -
     stage, folder = stages[-1], run / "stages" / f"{number}-{stages[-1].recovery}"
     failures = tuple(FailureModel.from_learned(s.recovery, s.failure, context.domain) for s in stages)
     awake = Awake(context.domain, context.embodiment, failures, context.model, {}, stage.scenario)
-    relevant = json.loads((folder / FAILURES).read_text())["relevant"]
+    relevant = json.loads((folder / FAILURES).read_text(encoding="utf-8"))["relevant"]
     budgets, first = STAGE_PRESETS["quick"], seed * TRAINING_SEEDS + number * STAGE_SEEDS + AWAKE
     found: list[Trajectory] = []
     for i in range(budgets.dreams_of(number) + budgets.attempts):
@@ -89,7 +89,7 @@ def learn(context: tuple[Path, int | None], job: tuple[Path, str]) -> list[dict[
     places = sorted((run / "stages").glob("*/library"))
     base = load_library(places[-1])
     domain, rig = find_domain(base.domain), load_rig() if base.rig_hash else None
-    chosen = seed if seed is not None else int(json.loads((run / "config.json").read_text())["seed"])
+    chosen = seed if seed is not None else int(json.loads((run / "config.json").read_text(encoding="utf-8"))["seed"])
     types = {t.name: t for t in domain.types}
     data: list[StageData] = []
     library: Library | None = None
