@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count as count_from
 from itertools import product
 
 import numpy as np
@@ -26,6 +27,7 @@ from resync_robot.learning.dataset import ATTEMPT
 from resync_robot.learning.failures import FailureModel, place_beside
 from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
 from resync_robot.planning.outcome_costs import JitteredCosts
+from resync_robot.sim_training.wandering import wander
 
 WHEN = ("before", "after")
 BEYOND = 1.5
@@ -34,6 +36,8 @@ UNPLACED = 0.5
 """Share of dreams in which the causes of a failure that takes no part are there all the same."""
 REDRAWN = 20
 """Scenes that are drawn until one stands."""
+WANDERED = 0.1
+"""Wanderings for each attempt."""
 
 
 @dataclass(frozen=True)
@@ -58,16 +62,19 @@ class Dream:
     Attributes:
         placements: for each known failure that takes part, where its causes are.
         attempt: a single attempt with the causes anywhere between before and after, and no recovery.
+        wander: skills in an order that no plan has.
     """
 
     placements: tuple[Placement, ...]
     seed: int
     attempt: bool = False
+    wander: bool = False
 
     @property
     def source(self) -> str:
         """What its trajectories are named after."""
-        return ATTEMPT if self.attempt else " ".join(f"{p.when}{p.failure + 1}@{p.reference}" for p in self.placements)
+        aimless = self.attempt or self.wander
+        return ATTEMPT if aimless else " ".join(f"{p.when}{p.failure + 1}@{p.reference}" for p in self.placements)
 
 
 @dataclass(frozen=True)
@@ -102,7 +109,8 @@ class Dreamer:
         return [found for way in product(*ways) if (found := tuple(p for p in way if p is not None))]
 
     def dreams(self, count: int, attempts: int, first_seed: int) -> list[Dream]:
-        """An equal quota for every combination, then the attempts, half of them about the newest failure."""
+        """An equal quota for every combination, then the attempts, half of them about the newest failure, and then the
+        wanderings, all about that."""
         every = self.combinations()
         order = np.random.default_rng(first_seed).permutation(len(every))
         shared = [every[order[i % len(every)]] for i in range(count)]
@@ -111,7 +119,13 @@ class Dreamer:
         newest = [c for c in singles if c[0].failure == len(self.failures) - 1]
         older = [c for c in singles if c not in newest] or newest
         tried = [(of := (newest, older)[i % 2])[i // 2 % len(of)] for i in range(attempts)]
-        return dreams + [Dream(p, first_seed + count + i, attempt=True) for i, p in enumerate(tried)]
+        wandered = [newest[i % len(newest)] for i in range(round(WANDERED * attempts))]
+        seeds = count_from(first_seed + count)
+        return [
+            *dreams,
+            *(Dream(p, next(seeds), attempt=True) for p in tried),
+            *(Dream(p, next(seeds), wander=True) for p in wandered),
+        ]
 
     # -- one dream -----------------------------------------------------------------------------------------------------
 
@@ -180,6 +194,11 @@ class Dreamer:
         if dream.attempt:
             result = plan_and_execute(simulator, model, task.goal, ExecuteSettings(max_failures=1))
             return [Trajectory(result.transitions, task.goal, result.success, dream.source)]
+        if dream.wander:
+            rng = np.random.default_rng([dream.seed, REDRAWN])
+            recoveries, placement = {f.recovery for f in self.failures}, dream.placements[0]
+            walk = wander(simulator, model, task, lambda s: self._recovery(placement, s), recoveries, rng)
+            return [Trajectory(walk, task.goal, False, dream.source)] if walk else []
         # The newest first: the older ones are planned for.
         wanted = [p for p in reversed(dream.placements) if p.when == "before"]
         left = list(wanted)

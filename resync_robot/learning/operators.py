@@ -138,7 +138,10 @@ def swept(
     found: dict[str, Atoms] = {}
     for skill, variables in parameters.items():
         atoms = [a for p in predicates for a in _patterns(p, variables)]
-        found[skill] = frozenset(a for a in atoms if _ends(a, variables, steps[skill], by_predicate))
+        added = [
+            a for p in predicates for a in lifted_atoms(p, variables) if _adds(a, variables, steps[skill], by_predicate)
+        ]
+        found[skill] = frozenset(a for a in atoms if _ends(a, added, variables, steps[skill], by_predicate))
     return found
 
 
@@ -154,13 +157,30 @@ def _patterns(predicate: Predicate, parameters: Sequence[Variable]) -> list[Atom
     return [predicate(*w) for w in chosen if len(set(w)) == len(w)]
 
 
-def _ends(
-    pattern: Atom,
+def _adds(
+    atom: Atom,
     parameters: Sequence[Variable],
     steps: Sequence[Step],
     truth: Sequence[Mapping[Predicate, Atoms]],
 ) -> bool:
-    """Whether most successes leave nothing of it: of other objects, and of those that the skill names neither."""
+    """Whether most successes bring it about; of an operator it is added after anything is deleted."""
+    became = []
+    for step in steps:
+        ground = atom.substitute(dict(zip(parameters, step.objects, strict=True)))
+        if ground not in truth[step.before][atom.predicate]:
+            became.append(ground in truth[step.after][atom.predicate])
+    return bool(len(became) >= MIN_SWEPT and np.mean(became) > USUALLY)
+
+
+def _ends(
+    pattern: Atom,
+    added: Sequence[Atom],
+    parameters: Sequence[Variable],
+    steps: Sequence[Step],
+    truth: Sequence[Mapping[Predicate, Atoms]],
+) -> bool:
+    """Whether most successes leave nothing of it: of other objects, and of those that the skill names neither, but for
+    what it adds itself."""
     of_others, of_named = [], []
     for step in steps:
         binding = dict(zip(parameters, step.objects, strict=True))
@@ -168,7 +188,8 @@ def _ends(
         there, then = (truth[m][pattern.predicate] for m in (step.before, step.after))
         before = [a for a in there if all(f in (None, o) for f, o in zip(fixed, a.args, strict=True))]
         others = [a for a in before if not set(a.args) <= set(step.objects)]
-        named = [a for a in before if set(a.args) <= set(step.objects)]
+        own = {a.substitute(binding) for a in added}
+        named = [a for a in before if set(a.args) <= set(step.objects) and a not in own]
         if others:
             of_others.append(not any(a in then for a in others))
         if named:

@@ -116,5 +116,16 @@ def test_what_a_skill_ends_of_what_it_names_is_no_effect_on_everything() -> None
     assert swept(dataset, truth, [HOLDS], {"Push": (R, B0)})["Push"] == frozenset()
 
 
+def test_what_a_skill_adds_is_no_exception_to_what_it_ends_of_all_others() -> None:
+    """A hand that goes to a block is ready for that one, whatever it was ready for before."""
+    robot, blocks = ROBOT("r"), (BLOCK("b0"), BLOCK("b1"))
+    named, other = (HOLDS(robot, b) for b in blocks)
+    steps = tuple(Step("Push", (robot, blocks[0]), 2 * i, 2 * i + 1) for i in range(12))
+    run = Run(steps, (), 0, frozenset({named}), True, "dream", (robot, *blocks), 1)
+    truth = [frozenset({other if i % 2 else named}) if now else frozenset({named}) for i in range(12) for now in (1, 0)]
+    dataset = Dataset((State({}),) * 24, ((0,),) * 24, (run,), {"Push": (ROBOT, BLOCK)})
+    assert swept(dataset, truth, [HOLDS], {"Push": (R, B0)})["Push"] == {HOLDS(R, Variable("?any1", BLOCK))}
+
+
 def test_a_skill_that_never_succeeded_has_no_operator() -> None:
     assert learn_operator("Op", (R, B0), [column(FREE(B0), [], failed=[1, 1])], OperatorConfig()) is None

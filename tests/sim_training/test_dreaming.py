@@ -78,10 +78,11 @@ def test_every_combination_has_its_quota() -> None:
     # Two failures, each absent, or before or after beside either of two pucks; not both absent.
     assert len(combinations) == len(set(combinations)) == 5 * 5 - 1
     dreams = dreamer.dreams(48, 8, first_seed=100)
-    counts = Counter(d.placements for d in dreams if not d.attempt)
+    counts = Counter(d.placements for d in dreams if not d.attempt and not d.wander)
     assert set(counts) == set(combinations) and set(counts.values()) == {2}
     attempts = Counter(d.placements for d in dreams if d.attempt)
     assert set(attempts.values()) == {2} and all(len(p) == 1 for p in attempts)
+    assert [d.placements[0].failure for d in dreams if d.wander] == [1]
     assert len({d.seed for d in dreams}) == len(dreams)
 
 
@@ -143,6 +144,14 @@ def test_attempts_are_spread_between_failure_and_success_and_mend_nothing() -> N
     firsts = [t.transitions[0].succeeded for t in lived]
     assert 3 <= sum(firsts) <= len(firsts) - 3
     assert not any(x.skill == "OpenDoor" for t in lived for x in t.transitions)
+
+
+def test_wanderings_aim_at_nothing_and_hold_the_recovery() -> None:
+    dreamer = _dreamer()
+    lived = [t for seed in range(12, 24) for t in dreamer.live(Dream((Placement(0, "before", 0),), seed, wander=True))]
+    assert {(t.source, t.solved) for t in lived} <= {(ATTEMPT, False)}
+    assert all(x.succeeded for t in lived for x in t.transitions)
+    assert any(x.skill == "OpenDoor" for t in lived for x in t.transitions)
 
 
 def test_a_recovery_that_the_failure_leaves_no_room_for_comes_first_in_a_second_try() -> None:

@@ -1,0 +1,67 @@
+"""Skills in an order that no plan has: what a robot learns about its own model by doing things for no reason.
+
+Who acts by plans only begins nothing that the plan does not finish. So dreams never show that a hand which is ready to
+grasp one block no longer is once it has gone to another, or that a push loses what was held. A planner that does not
+know this makes plans that begin with what they then undo.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+import numpy as np
+
+from resync_robot.core.skill import GroundSkill
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Atoms
+from resync_robot.core.task import Task
+from resync_robot.core.trajectory import Transition
+from resync_robot.core.world import World
+from resync_robot.planning.execute import Model, run_skill
+from resync_robot.planning.search import ground_all
+
+LONGEST = 4
+"""Skills in a wandering at most."""
+
+
+def wander(
+    world: World,
+    model: Model,
+    task: Task,
+    recovery: Callable[[State], GroundSkill],
+    recoveries: Collection[str],
+    rng: np.random.Generator,
+) -> tuple[Transition, ...]:
+    """Given skills that the model says could be done next, drawn evenly, and one recovery somewhere among them.
+
+    It ends with the first skill that does not do what it should. That one is not told: it may have failed of where the
+    robot came from, which nobody will ask of it.
+
+    Args:
+        world: in its initial state.
+        recovery: the one that is to be among them, for the objects of a state.
+        recoveries: names of all learned skills, which are not drawn.
+    """
+    steps = [s for s in ground_all(model.operators, task.objects) if s.name not in recoveries]
+    recover_at = int(rng.integers(LONGEST))
+    done: list[Transition] = []
+    before = world.perceive()
+    atoms = model.abstraction.true_atoms(before)
+    for i in range(LONGEST):
+        wanted: Atoms = frozenset()
+        possible = [s for s in steps if s.applicable(atoms) and not s.add <= atoms]
+        if i == recover_at:
+            ground = recovery(before)
+        elif possible:
+            step = possible[int(rng.integers(len(possible)))]
+            ground, wanted = model.skill(step.name).ground(step.objects), step.add
+        else:
+            break
+        finished = run_skill(world, ground).done
+        after = world.perceive()
+        atoms = model.abstraction.true_atoms(after)
+        if not finished or not wanted <= atoms:
+            break
+        done.append(Transition(before, ground.name, ground.objects, after, True))
+        before = after
+    return tuple(done)

@@ -1,0 +1,63 @@
+"""Wandering among blocks that nothing obstructs: what is begun and not finished is seen, and what fails is not told."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from resync_robot.core.skill import GroundSkill
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Operator
+from resync_robot.core.trajectory import Trajectory, Transition
+from resync_robot.learning.dataset import ATTEMPT, merged_dataset
+from resync_robot.learning.operators import swept
+from resync_robot.library_models import initial_model
+from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.wandering import LONGEST, wander
+
+DOMAIN = find_domain("blocked-stacking")
+MODEL = initial_model(DOMAIN, None)
+OPERATORS: dict[str, Operator] = {o.name: o for o in DOMAIN.operators}
+
+
+def _walk(seed: int) -> tuple[Transition, ...]:
+    """One in which the hand goes to the first block instead of recovering."""
+    assert DOMAIN.free is not None and DOMAIN.embodiment is not None
+    task = DOMAIN.free(np.random.default_rng(seed), seed, {})
+    world = DOMAIN.embodiment.simulate(task)
+    assert world.reset(task.initial)
+    robot, block = OPERATORS["ReachToGrasp"].parameters
+
+    def reach(state: State) -> GroundSkill:
+        return MODEL.skill("ReachToGrasp").ground((state.of_type(robot.type)[0], state.of_type(block.type)[0]))
+
+    return wander(world, MODEL, task, reach, {"Punch"}, np.random.default_rng(seed))
+
+
+WALKS = tuple(_walk(seed) for seed in range(24))
+
+
+def test_each_step_begins_where_the_one_before_it_ended_and_was_possible() -> None:
+    for walk in WALKS:
+        assert len(walk) <= LONGEST and all(t.succeeded for t in walk)
+        assert all(a.after == b.before for a, b in itertools.pairwise(walk))
+        for t in walk:
+            operator = OPERATORS[t.skill].ground(t.objects)
+            assert operator.applicable(MODEL.abstraction.true_atoms(t.before))
+    assert len({t.skill for walk in WALKS for t in walk}) >= 3
+
+
+def test_the_same_seed_wanders_the_same_way() -> None:
+    assert [(t.skill, t.objects) for t in _walk(5)] == [(t.skill, t.objects) for t in WALKS[5]]
+
+
+def test_it_shows_that_a_hand_is_ready_for_one_block_at_a_time() -> None:
+    """No plan reaches for a block to reach for another one then, so no demonstration shows it."""
+    told = [Trajectory(walk, frozenset(), False, ATTEMPT) for walk in WALKS]
+    signatures = {o.name: tuple(v.type for v in o.parameters) for o in DOMAIN.operators}
+    dataset = merged_dataset([told], (), signatures)
+    truth = [MODEL.abstraction.true_atoms(dataset.state_at(m)) for m in range(len(dataset.moments))]
+    found = swept(dataset, truth, DOMAIN.predicates, {o.name: o.parameters for o in DOMAIN.operators})
+    # And that it lets go of what it holds, to grasp something.
+    assert {str(a) for a in found["ReachToGrasp"]} == {"ReadyGrasp(?r, ?any1)", "Holding(?r, ?any1)"}
