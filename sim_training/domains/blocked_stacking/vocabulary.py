@@ -6,6 +6,7 @@ A vertical plane: x to the right, y up, gravity down. The bench's top is at y = 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from resync_robot.core.state import State
 from resync_robot.core.symbols import SE2, Object, Operator, Predicate, Type, Variable
@@ -42,36 +43,58 @@ READY_PLACE = Predicate("ReadyPlace", (ROBOT, BLOCK, BLOCK))
 ON = Predicate("On", (BLOCK, BLOCK))
 PREDICATES = (READY_GRASP, HOLDING, READY_PLACE, ON)
 
-GRASP_ASIDE, GRASP_ABOVE = 0.08, 0.13
-"""A hand is ready to grasp that is so near to a block's middle, and so far above it at most, m."""
-UPRIGHT = 0.15
-"""rad by which its heading is off at most."""
-PLACE_ASIDE, PLACE_ABOVE = 0.075, 0.05
-"""A held block is ready to be placed that is so far from above the other one's middle, with such a gap, m."""
-ON_ASIDE, ON_GAP = 0.075, 0.015
-"""The same of one that lies upon another."""
+
+@dataclass(frozen=True)
+class Limits:
+    """Where the given predicates change from true to false; lengths in m.
+
+    Attributes:
+        grasp_aside, grasp_above: a hand is ready to grasp that is so near to a block's middle, and so far above it.
+        upright: rad by which its heading is off at most.
+        place_aside, place_above: a held block is ready to be placed that is so far from above the other one's middle,
+            with such a gap.
+        on_aside, on_gap: the same of one that lies upon another.
+        held: the share of a block that is held.
+    """
+
+    grasp_aside: float = 0.08
+    grasp_above: float = 0.13
+    upright: float = 0.15
+    place_aside: float = 0.075
+    place_above: float = 0.05
+    on_aside: float = 0.075
+    on_gap: float = 0.015
+    held: float = 0.5
 
 
-def holding(state: State, objects: tuple[Object, ...]) -> float:
-    return float(state.get(objects[1], "held")[0] > 0.5)
+LIMITS = Limits()
 
 
-def ready_grasp(state: State, objects: tuple[Object, ...]) -> float:
+def holding(state: State, objects: tuple[Object, ...], limits: Limits = LIMITS) -> float:
+    return float(_held(state, objects[1], limits))
+
+
+def ready_grasp(state: State, objects: tuple[Object, ...], limits: Limits = LIMITS) -> float:
     robot, block = objects
     (x, y, theta), (bx, by) = state[robot][:3], state[block][:2]
-    around = abs(x - bx) < GRASP_ASIDE and 0.0 < y - by < GRASP_ABOVE and abs(theta - DOWN) < UPRIGHT
-    return float(around and not any(holding(state, (robot, b)) for b in state.of_type(BLOCK)))
+    near = abs(x - bx) < limits.grasp_aside and 0.0 < y - by < limits.grasp_above
+    empty = not any(_held(state, b, limits) for b in state.of_type(BLOCK))
+    return float(near and abs(theta - DOWN) < limits.upright and empty)
 
 
-def ready_place(state: State, objects: tuple[Object, ...]) -> float:
-    robot, block, below = objects
+def ready_place(state: State, objects: tuple[Object, ...], limits: Limits = LIMITS) -> float:
+    _, block, below = objects
     aside, gap = above(state, block, below)
-    return float(holding(state, (robot, block)) > 0 and aside < PLACE_ASIDE and 0.0 <= gap < PLACE_ABOVE)
+    return float(_held(state, block, limits) and aside < limits.place_aside and 0.0 <= gap < limits.place_above)
 
 
-def on(state: State, objects: tuple[Object, ...]) -> float:
+def on(state: State, objects: tuple[Object, ...], limits: Limits = LIMITS) -> float:
     aside, gap = above(state, *objects)
-    return float(state.get(objects[0], "held")[0] < 0.5 and aside < ON_ASIDE and abs(gap) < ON_GAP)
+    return float(not _held(state, objects[0], limits) and aside < limits.on_aside and abs(gap) < limits.on_gap)
+
+
+def _held(state: State, block: Object, limits: Limits) -> bool:
+    return bool(state.get(block, "held")[0] > limits.held)
 
 
 def above(state: State, block: Object, below: Object) -> tuple[float, float]:
