@@ -82,11 +82,11 @@ def experience(known: Known, run: Path, base: Library, number: int, seed: int) -
     return [t for t in found if t.transitions]
 
 
-def learn(context: tuple[Path, int | None], job: tuple[Path, str]) -> list[dict[str, object]]:
-    """Learn all stages of one run in one variant, and save the library of each."""
+def learn(context: tuple[Path, int | None, int], job: tuple[Path, str]) -> list[dict[str, object]]:
+    """Learn the stages of one run in one variant, and save the library of each."""
     torch.set_num_threads(1)
-    (out, seed), (run, variant) = context, job
-    places = sorted((run / "stages").glob("*/library"))
+    (out, seed, most), (run, variant) = context, job
+    places = sorted((run / "stages").glob("*/library"))[:most]
     base = load_library(places[-1])
     domain, rig = find_domain(base.domain), load_rig() if base.rig_hash else None
     chosen = seed if seed is not None else int(json.loads((run / "config.json").read_text(encoding="utf-8"))["seed"])
@@ -129,17 +129,18 @@ def main() -> None:
     parser.add_argument("run", type=Path, nargs="+")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=list(VARIANTS))
+    parser.add_argument("--stages", type=int, default=99, help="learn so many of them at most")
     parser.add_argument("--seed", type=int)
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
     jobs = [(run, variant) for run in args.run for variant in args.variants]
-    for rows in parallel_map(learn, jobs, partial(_context, args.out, args.seed), args.workers):
+    for rows in parallel_map(learn, jobs, partial(_context, args.out, args.seed, args.stages), args.workers):
         for row in rows:
             print(json.dumps(row), flush=True)
 
 
-def _context(out: Path, seed: int | None) -> tuple[Path, int | None]:
-    return out, seed
+def _context(out: Path, seed: int | None, stages: int) -> tuple[Path, int | None, int]:
+    return out, seed, stages
 
 
 if __name__ == "__main__":
