@@ -19,6 +19,9 @@ from resync_robot.planning.abstract import Exists, ForAll
 
 Count = tuple[int, int]
 """(successes, attempts)."""
+WORTH_A_STEP = 0.5
+"""What saves less of a step than this share of what any step costs is not brought about for its own sake. So a plan is
+dearer than the cheapest by no more than that for each step."""
 JITTER = 0.05
 """By how much of its cost a step is made dearer, at most, to break ties between plans."""
 
@@ -125,6 +128,24 @@ class OutcomeCosts:
     def cost(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
         """Of running the step where `atoms` hold; above 0."""
         return self._settings.step - math.log(self.success(step, atoms))
+
+    def hangs_on(self, step: GroundOperator, objects: Collection[Object]) -> list[tuple[Atom | Predicate, bool]]:
+        """What may make the step cheaper, and whether it has to hold for that, or not to: atoms, and predicates from
+        whose atoms others are derived.
+
+        Left out is what the preconditions decide, what decides nothing since something else is worse at its best, and
+        what saves less than WORTH_A_STEP.
+        """
+        decided = self.circumstances(step.preconditions, objects)
+        tallies = self._tallies.get(step.name, ())
+        sides = [(self._posterior(step, *t.held), self._posterior(step, *t.otherwise)) for t in tallies]
+        most = min((max(both) for both in sides), default=1.0)
+        return [
+            (atom if tally.form is None else tally.form.base, held > otherwise)
+            for tally, (held, otherwise) in zip(tallies, sides, strict=True)
+            if (atom := tally.atom(step)) not in decided
+            and math.log(most / min(held, otherwise)) > WORTH_A_STEP * self._settings.step
+        ]
 
     def least(self, step: GroundOperator) -> float:
         """No circumstances make the step cheaper than this: each of them is at its better, and the worst decides."""

@@ -24,6 +24,7 @@ from pyperplan.task import Task
 from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, distinct_products
 from resync_robot.planning.outcome_costs import OutcomeCosts
+from resync_robot.planning.relevance import relevant
 
 INFINITY = float("inf")
 COST_UNIT = 1e-6
@@ -135,7 +136,8 @@ def plan(
     likely: Mapping[Atom, float] | None = None,
     discouraged: Mapping[str, float] | None = None,
 ) -> Plan:
-    """The cheapest plan, by A* (with a heuristic that never overestimates); always the same one for the same input.
+    """The cheapest plan, by A* (with a heuristic that never overestimates), up to `WORTH_A_STEP`; always the same one
+    for the same input.
 
     Args:
         costs: of the steps. Without them, or without counts in them, the plan is a shortest one.
@@ -279,6 +281,8 @@ class _Problem:
         self.goal, self.atoms, self._costs = goal, atoms, costs or OutcomeCosts()
         self._objects = tuple(objects)
         self.ground = ground_all(operators, self._objects)
+        if not keep_useless:
+            self.ground = relevant(self.ground, atoms, goal, self._costs, self._objects)
         changed = atoms.union(*(op.add for op in self.ground)) if self._costs.bases else frozenset()
         self._asked = sorted(
             goal.union(
@@ -303,7 +307,6 @@ class _Problem:
         steps = [
             PyperplanOperator(i, facts(op.preconditions) or {0}, facts(op.add), facts(op.delete | op.swept) | first)
             for i, op in enumerate(self.ground)
-            if keep_useless or op.add & number.keys()
         ]
         reliances = [
             PyperplanOperator(i, first, facts({a}), frozenset())

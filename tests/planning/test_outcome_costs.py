@@ -14,7 +14,7 @@ from resync_robot.core.errors import PlanningError
 from resync_robot.core.symbols import Atoms, Operator, Predicate, Variable
 from resync_robot.core.vocabulary import BLOCK
 from resync_robot.planning.abstract import Exists, ForAll
-from resync_robot.planning.outcome_costs import CostSettings, JitteredCosts, OutcomeCosts, Tally
+from resync_robot.planning.outcome_costs import WORTH_A_STEP, CostSettings, JitteredCosts, OutcomeCosts, Tally
 from resync_robot.planning.search import ground_all, plan
 from tests.planning.kitchen import CLEAN, CUP, FILL, FULL, OPEN, UNLID, WIPE, A, B, X
 from tests.planning.models import B1, BLOCKS, BOX_0, HOLDING, INSERT, ON, PICK, RECOVER, ROBOT_0, scene
@@ -132,22 +132,25 @@ def test_no_plan_is_cheaper(tallies, atoms, goal, heuristic: str) -> None:
         assert step.applicable(now) and costs.least(step) <= costs.cost(step, now) + 1e-12
         total += costs.cost(step, now)
         now = step.apply(now)
-    assert goal <= now and total == pytest.approx(cheapest(frozenset(atoms), goal, costs), abs=1e-4)
+    least, steps = cheapest(frozenset(atoms), goal, costs)
+    # What saves hardly anything of a step is not brought about for its own sake.
+    assert goal <= now and least - 1e-4 <= total <= least + steps * WORTH_A_STEP * CostSettings().step + 1e-4
 
 
-def cheapest(atoms: Atoms, goal: Atoms, costs: OutcomeCosts) -> float:
-    """By Dijkstra's algorithm, over the states themselves."""
+def cheapest(atoms: Atoms, goal: Atoms, costs: OutcomeCosts) -> tuple[float, int]:
+    """Cost and steps of a cheapest plan, by Dijkstra's algorithm, over the states themselves."""
     ground, queue, best, pushed = ground_all(KITCHEN, (A, B)), [(0.0, 0, atoms)], {atoms: 0.0}, 0
+    lengths = {atoms: 0}
     while queue:
         total, _, state = heapq.heappop(queue)
         if goal <= state:
-            return total
+            return total, lengths[state]
         for step in (s for s in ground if s.applicable(state)):
             after, cost = step.apply(state), total + costs.cost(step, state)
             if cost < best.get(after, math.inf):
-                best[after], pushed = cost, pushed + 1
+                best[after], lengths[after], pushed = cost, lengths[state] + 1, pushed + 1
                 heapq.heappush(queue, (cost, pushed, after))
-    return math.inf
+    return math.inf, 0
 
 
 def test_what_failed_just_now_is_not_begun_with_where_something_else_is_as_good() -> None:
