@@ -213,7 +213,8 @@ class Dreamer:
                     return self._recovery(p, state, first.objects)
             return None
 
-        settings = ExecuteSettings(max_failures=1 + len(wanted))
+        # What is known of the other failures may be wrong after a recovery that it has never seen. Only to try says so.
+        settings = ExecuteSettings(max_failures=1 + len(wanted), retry=True)
         result = plan_and_execute(simulator, model, task.goal, settings, reaction=react)
         found = [self._until_in_vain(Trajectory(result.transitions, task.goal, result.success, dream.source))]
         done = {(t.skill, t.objects) for t in result.transitions if t.succeeded}

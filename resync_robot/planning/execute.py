@@ -131,6 +131,8 @@ class ExecuteSettings:
     suppose: bool = True
     """Where no plan exists by all that is likely: suppose, as a last resort, that a step ends a relation that no
     operator says it ends. Needed as long as operators are learned that leave out such effects."""
+    retry: bool = False
+    """What a reaction has mended is tried again at once, whatever is believed of it."""
     plan_only: bool = False
     """End with the first plan, and run none of it."""
     beliefs: BeliefSettings = BeliefSettings()
@@ -186,7 +188,9 @@ def plan_and_execute(
                 return run.ended(EpisodeEnd.STUCK, reason)
             failed = model.skill(step.name).ground(step.objects)
             if reaction and (recovery := reaction(failed, run.state)) is not None:
-                run.react(recovery)
+                mended = run.react(recovery)
+                if s.retry and mended and not run.limit_reached():
+                    failures[str(step)] += not run.attempt(step)[1]
             break
 
 
@@ -312,12 +316,13 @@ class _Episode:
         self._transitions.append(Transition(before, step.name, step.objects, self.state, came_true))
         return outcome, came_true
 
-    def react(self, recovery: GroundSkill) -> None:
-        """Run what a reactive method wants."""
+    def react(self, recovery: GroundSkill) -> bool:
+        """Run what a reactive method wants; whether it says that it is done."""
         before = self.state
         outcome = self._run(recovery)
         self.look()
         self._transitions.append(Transition(before, recovery.name, recovery.objects, self.state, outcome.done))
+        return outcome.done
 
     def _run(self, ground: GroundSkill) -> SkillOutcome:
         horizon = self._settings.horizon
