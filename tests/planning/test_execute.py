@@ -238,6 +238,27 @@ def test_a_reaction_is_asked_after_a_failure_and_its_skill_is_run() -> None:
     assert result.transitions[1].before == asked[0][1]
 
 
+@pytest.mark.parametrize(
+    ("retry", "skills"), [(False, ["Fill", "Wipe", "Unlid", "Fill"]), (True, ["Fill", "Wipe", "Fill"])]
+)
+def test_what_a_reaction_mended_is_tried_at_once_if_wanted_whatever_is_believed(retry: bool, skills: list[str]) -> None:
+    """Wiping a cup makes it look as if it were closed, which it is not."""
+    world = kitchen(open="a", clean="a")
+
+    def fill(cup: Object) -> Callable[[State], State]:
+        return lambda state: state.with_features(cup, full=float(state.get(B, "clean")[0]))
+
+    def wipe(cup: Object) -> Callable[[State], State]:
+        return lambda state: state.with_features(cup, clean=1.0).with_features(A, open=0.0)
+
+    done = SkillOutcome(SkillEnd.DONE)
+    known = model(world, Fill=(fill, done), Wipe=(wipe, done))
+    result = plan_and_execute(
+        world, known, GOAL, ExecuteSettings(retry=retry), reaction=lambda *_: known.skill("Wipe").ground((B,))
+    )
+    assert result.success and [t.skill for t in result.transitions] == skills
+
+
 def test_a_reaction_may_decline() -> None:
     world = kitchen(open="a", clean="a")
     known = model(world, Fill=(nothing, SkillOutcome(SkillEnd.BLOCKED)))
