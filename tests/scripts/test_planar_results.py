@@ -63,6 +63,16 @@ def test_successes_within_the_paper_s_horizon_are_of_the_same_episodes(script: M
     assert "sooner" not in script.rows_of(counted, 1, 0)[0], "an earlier version did not count"
 
 
+def test_variants_have_tables_of_their_own_by_what_the_scenarios_are(script: ModuleType) -> None:
+    rows = script.merged([], script.rows_of(evaluation(48), 2, 0))
+    for seed, won in ((0, 10), (1, 20)):
+        rows = script.merged(rows, script.rows_of(evaluation(won), 2, seed, "no-tuning"))
+    shown = script.tables({"rows": rows, "paper": {}, "scenarios": {"blocked-stacking 2": {"2": "train", "1": "old"}}})
+    assert "| 1 | 0.96 [0.87, 0.99] of 50 |  |" in shown, "not mixed with the whole"
+    assert "| variant | train | old |" in shown and "| whole (0123456) |  | 0.96 [0.87, 0.99] of 50 |" in shown
+    assert "| no-tuning (0123456) |  | 0.30 [0.22, 0.40] of 100: 10, 20 |" in shown
+
+
 def test_a_page_without_marks_is_left_alone(script: ModuleType) -> None:
     with pytest.raises(SystemExit, match="has no line"):
         script.written("# Results\n", "")
