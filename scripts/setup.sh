@@ -36,7 +36,8 @@ certificates=${SSL_CERT_FILE:-${PIP_CERT:-$(setting cert)}}
 [ ! -e "$certificates" ] || export SSL_CERT_FILE=$certificates
 
 uv=(.venv/bin/uv pip)
-"${uv[@]}" install --python .venv/bin/python --quiet -e '.[dev,hardware]' -c constraints.txt
+# Compiled once here instead of at the first start, or at every start where Python may write no files.
+"${uv[@]}" install --python .venv/bin/python --quiet --compile-bytecode -e '.[dev,hardware]' -c constraints.txt
 # Both OpenCV packages own the same files; where pip brought the one with windows, only the other may stay.
 if "${uv[@]}" show --python .venv/bin/python --quiet opencv-python 2>/dev/null; then
   "${uv[@]}" uninstall --python .venv/bin/python --quiet opencv-python

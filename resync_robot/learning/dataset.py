@@ -1,7 +1,7 @@
 """Trajectories as concept learning reads them: moments, the steps between them, and attempts that failed.
 
 A moment is a point of a trajectory at which no symbol can have changed: the state after a skill and the state before
-the next one are the same moment, and so are the states around a failed attempt that its recovery then mended.
+the next one are the same moment, and so are the states around a failed attempt that a recovery then followed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class Step:
     """One attempt of a skill, between two moments (indices into `Dataset.moments`).
 
     Attributes:
-        mended_by: of a failed attempt the recovery that mended it; empty where none did.
+        mended_by: of a failed attempt the recovery that mended it: it followed at once and said that it is done, and the
+            next such attempt succeeded. Empty where none did.
     """
 
     skill: str
@@ -173,9 +174,11 @@ class _Builder:
                 steps.append(Step(skill, x.objects, now, after))
                 now = after
                 continue
-            mended_by = next((s for y, s in transitions[i + 1 : i + 2] if s in self.recoveries and y.succeeded), "")
-            after = now if mended_by else self._moment(x.after)
-            failures.append(Step(skill, x.objects, now, after, mended_by))
+            recovery = next((s for y, s in transitions[i + 1 : i + 2] if s in self.recoveries and y.succeeded), "")
+            # That it is done is the recovery's own word: it may have pushed what was not in the way.
+            again = next((y.succeeded for y, s in transitions[i + 2 :] if (s, y.objects) == (skill, x.objects)), False)
+            after = now if recovery else self._moment(x.after)
+            failures.append(Step(skill, x.objects, now, after, recovery if again else ""))
             now = after
         self.runs.append(Run(tuple(steps), tuple(failures), first, t.goal, t.solved, t.source, t.objects, stage))
 

@@ -300,10 +300,28 @@ def folded(net: nn.Sequential) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 
 
 def _cross_entropy(logits: Tensor, examples: Examples, which: np.ndarray) -> Tensor:
-    values = torch.from_numpy(examples.values[which])
     weights = torch.from_numpy(examples.weights[which])
-    losses = functional.binary_cross_entropy_with_logits(logits, values, reduction="none")
-    return (losses * weights).sum() / weights.sum().clamp(min=1e-6)
+    return (_surprise(logits, examples, which) * weights).sum() / weights.sum().clamp(min=1e-6)
+
+
+def _surprise(logits: Tensor, examples: Examples, which: np.ndarray) -> Tensor:
+    """(n,) cross-entropy of each label."""
+    values = torch.from_numpy(examples.values[which])
+    return functional.binary_cross_entropy_with_logits(logits, values, reduction="none")
+
+
+def chance_of_difference(before: Tensor, after: Tensor, examples: Examples, labels: np.ndarray) -> float:
+    """Standard error of how much the loss over these labels differs between two classifiers, by the same labels.
+
+    Args:
+        before, after: (n,) logits of all rows.
+        labels: (m,) mask of the labels.
+    """
+    which = np.flatnonzero(labels)
+    some = [_surprise(logits[examples.groups[which]].amin(1), examples, which).numpy() for logits in (before, after)]
+    weights, differences = examples.weights[which], some[1] - some[0]
+    mean = np.average(differences, weights=weights)
+    return float(np.sqrt(((weights * (differences - mean)) ** 2).sum()) / weights.sum())
 
 
 def _divergence(pairs: Tensor) -> Tensor:

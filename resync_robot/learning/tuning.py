@@ -1,8 +1,8 @@
 """Fine-tuning: what earlier stages learned goes on learning from the dreams of a new one, before discovery.
 
-A saved classifier has no batch normalisation any more, so its folded layers are trained on, at a tenth of the rate, on
-old labels and new ones in equal shares. It is kept only where it fits neither of the two worse than before: what a
-stage adds must not cost what the stages before it can do.
+A saved classifier has no batch normalisation any more, so its folded layers are trained on, at a third of the rate, on
+old labels and new ones in equal shares. It is kept only where it fits neither of the two worse than chance explains: what
+a stage adds must not cost what the stages before it can do.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from resync_robot.learning.effects import Candidate, Supervision, supervise
 from resync_robot.learning.fit import (
     VALIDATION_SHARE,
     FitConfig,
+    chance_of_difference,
     examples_of,
     folded,
     loss_of,
@@ -39,7 +40,7 @@ from resync_robot.learning.operators import Evidence, explained_failures
 class TuneConfig:
     """How a known classifier is trained on."""
 
-    rate: float = 0.1
+    rate: float = 0.3
     """Share of the learning rate with which it was trained."""
     epochs: int = 10
     """0: it stays as it was."""
@@ -127,7 +128,8 @@ def tune(
     fit_config: FitConfig,
     config: TuneConfig,
 ) -> Tuned | None:
-    """Train a classifier on, and take the epoch that fits old and new data best among those that fit neither worse.
+    """Train a classifier on, and take the epoch that fits old and new data best among those that fit neither worse than
+    chance explains: by more than a standard error of the difference, on the same held-out labels.
 
     The new data are those of the last stage.
 
@@ -156,24 +158,34 @@ def tune(
 
     check, net = inputs(), _unfolded(start)
 
-    def losses() -> tuple[float, float]:
+    def seen() -> torch.Tensor:
         net.eval()
         with torch.no_grad():
-            logits = net(check)[:, 0]
-            old, fresh = (float(loss_of(logits, examples, of, among)) for of, among in judged)
+            logits: torch.Tensor = net(check)[:, 0]
+        return logits
+
+    def losses(logits: torch.Tensor) -> tuple[float, float]:
+        old, fresh = (float(loss_of(logits, examples, of, among)) for of, among in judged)
         return old, fresh
+
+    def no_worse(logits: torch.Tensor) -> bool:
+        return all(
+            now - then <= chance_of_difference(at_first, logits, examples, of)
+            for now, then, (of, _) in zip(losses(logits), before, judged, strict=True)
+        )
 
     steps = steps_in_epoch(2 * min(map(len, labels)), fit_config)
     rate = config.rate * fit_config.learning_rate
     optimiser = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=fit_config.weight_decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, max(1, config.epochs * steps))
-    before = after = losses()
+    at_first = seen()
+    before = after = losses(at_first)
     best = copy.deepcopy(net)
     for _ in range(config.epochs):
         some = mixed(labels, fit_config.labels_per_epoch)
         train_epoch(net, optimiser, schedule, inputs(), examples, some, mixed(pairs, fit_config.pairs_per_epoch), steps)
-        now = losses()
-        if now[0] <= before[0] and now[1] <= before[1] and sum(now) < sum(after):
+        logits = seen()
+        if sum(now := losses(logits)) < sum(after) and no_worse(logits):
             best, after = copy.deepcopy(net), now
     classifier = start if after == before else replace(start, layers=folded(best))
     return Tuned(classifier, before, after)
