@@ -39,8 +39,8 @@ class Step:
     """One attempt of a skill, between two moments (indices into `Dataset.moments`).
 
     Attributes:
-        mended_by: of a failed attempt the recovery that mended it: it followed at once and said that it is done, and the
-            next such attempt succeeded. Empty where none did.
+        mended_by: of a failed attempt the recovery that mended it: it followed at once and said that it is done, and
+            the next such attempt succeeded. Empty where none did.
     """
 
     skill: str

@@ -1,8 +1,8 @@
 """Fine-tuning: what earlier stages learned goes on learning from the dreams of a new one, before discovery.
 
 A saved classifier has no batch normalisation any more, so its folded layers are trained on, at a third of the rate, on
-old labels and new ones in equal shares. It is kept only where it fits neither of the two worse than chance explains: what
-a stage adds must not cost what the stages before it can do.
+old labels and new ones in equal shares. It is kept only where it fits neither of the two worse than chance explains:
+what a stage adds must not cost what the stages before it can do.
 """
 
 from __future__ import annotations

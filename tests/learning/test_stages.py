@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -90,16 +89,6 @@ def test_both_recoveries_come_before_the_hand_is_full(second: Concepts) -> None:
     steps = [str(s) for s in plan(second.operators, state.objects, atoms, goal).steps]
     assert set(steps[:2]) == {"Recover(robot, b0, box)", "Push(robot, b1, can)"}
     assert steps[2:] == ["Pick(robot, b1)", "Insert(robot, b1, b0)"]
-
-
-@pytest.mark.slow
-def test_from_the_new_data_alone_the_first_stage_is_forgotten(
-    data: tuple[StageData, StageData], first: Concepts
-) -> None:
-    """Why the union: no condition of the first stage tells these failures from successes, so nothing asks for it."""
-    with one_thread():
-        alone = learn_concepts([replace(data[0], trajectories=()), data[1]], DOMAIN_WITH_CAN, first, config=QUICK)
-    assert needs(alone, "Pick").isdisjoint(a["predicate"] for a in first.report["affordances_of"]["Pick"])
 
 
 def test_a_library_holds_both_stages_and_gives_the_same_model(second: Concepts, tmp_path: Path) -> None:
