@@ -41,6 +41,6 @@ def test_a_failure_is_mended_where_the_next_attempt_succeeds_and_not_where_its_r
 ) -> None:
     state = State({})
     steps = tuple(Transition(state, w.rstrip("!"), (CUP,), state, not w.endswith("!")) for w in lived.split())
-    signatures = {name: (CUP.type,) for name in ("Fill", "Wipe", "Dry")}
+    signatures = dict.fromkeys(("Fill", "Wipe", "Dry"), (CUP.type,))
     (run,) = merged_dataset([[Trajectory(steps, frozenset(), True, "dream")]], ("Wipe", "Dry"), signatures).runs
     assert [f.mended_by for f in run.failures] == mended
