@@ -25,7 +25,7 @@ from resync_robot.core.task import Domain, Task
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.learning.dataset import ATTEMPT
 from resync_robot.learning.failures import FailureModel, place_beside
-from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
+from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill, what_was_done
 from resync_robot.planning.outcome_costs import JitteredCosts
 from resync_robot.sim_training.wandering import wander
 
@@ -238,8 +238,8 @@ class Dreamer:
         done: list[Transition] = []
         for ground in recoveries:
             before = simulator.perceive()
-            outcome = run_skill(simulator, ground)
-            done.append(Transition(before, ground.name, ground.objects, simulator.perceive(), outcome.done))
+            ran, well = what_was_done(ground, run_skill(simulator, ground))
+            done.append(Transition(before, ran.name, ran.objects, simulator.perceive(), well))
         rest = plan_and_execute(simulator, self.model, task.goal, ExecuteSettings(max_failures=1))
         solved = rest.success and all(t.succeeded for t in done)
         return Trajectory((*done, *rest.transitions), task.goal, solved, dream.source)

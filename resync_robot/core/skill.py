@@ -23,6 +23,8 @@ class SkillEnd(Enum):
     """No arm configuration reaches what it wanted."""
     REFUSED = "refused"
     """The state makes no sense for it (an object is missing, the hand is full)."""
+    NEEDLESS = "needless"
+    """What it mends does not fail here: it began with that, which is done."""
     TIMEOUT = "timeout"
 
 

@@ -153,8 +153,8 @@ class _Run:
             # To run out of its time is one of the ways in which it fails.
             if not isinstance(answer, SkillOutcome) and self._longest > 0:
                 return answer
-            if isinstance(answer, SkillOutcome) and answer.done:
-                return SkillOutcome(SkillEnd.REFUSED, f"{self._recovery.failed_skill} does not fail here")
+            if isinstance(answer, SkillOutcome) and answer.ending in (SkillEnd.DONE, SkillEnd.NEEDLESS):
+                return SkillOutcome(SkillEnd.NEEDLESS, f"{self._recovery.failed_skill} does not fail here")
             self._approaching = False
         seen = self._see(observation)
         if self._steps and self._is_done(seen):

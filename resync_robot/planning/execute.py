@@ -308,20 +308,32 @@ class _Episode:
 
     def attempt(self, step: GroundOperator) -> tuple[SkillOutcome, bool]:
         """Run a step, look, and learn from the outcome; also whether its effects came true."""
-        before = self.state
-        outcome = self._run(self._model.skill(step.name).ground(step.objects))
+        before, ground = self.state, self._model.skill(step.name).ground(step.objects)
+        outcome = self._run(ground)
         self.state = self._world.perceive()
-        came_true = self.beliefs.attempted(step, outcome, self._model.abstraction.shares(self.state))
+        shares = self._model.abstraction.shares(self.state)
+        done, well = what_was_done(ground, outcome)
+        if done != ground and (other := self._operator(done)) is not None:
+            # A recovery that nothing called for: what it mends works, so what that needs is there.
+            well = self.beliefs.attempted(other, SkillOutcome(SkillEnd.DONE), shares)
+            came_true = step.add <= self.beliefs.certain()
+        else:
+            well = came_true = self.beliefs.attempted(step, outcome, shares)
         self._looked()
-        self._transitions.append(Transition(before, step.name, step.objects, self.state, came_true))
+        self._transitions.append(Transition(before, done.name, done.objects, self.state, well))
         return outcome, came_true
+
+    def _operator(self, ground: GroundSkill) -> GroundOperator | None:
+        lifted = next((op for op in self._model.operators if op.name == ground.name), None)
+        return None if lifted is None else lifted.ground(ground.objects, tuple(self.state.objects))
 
     def react(self, recovery: GroundSkill) -> bool:
         """Run what a reactive method wants; whether it says that it is done."""
         before = self.state
         outcome = self._run(recovery)
         self.look()
-        self._transitions.append(Transition(before, recovery.name, recovery.objects, self.state, outcome.done))
+        done, well = what_was_done(recovery, outcome)
+        self._transitions.append(Transition(before, done.name, done.objects, self.state, well))
         return outcome.done
 
     def _run(self, ground: GroundSkill) -> SkillOutcome:
@@ -333,6 +345,12 @@ class _Episode:
     def ended(self, end: EpisodeEnd, why: str = "") -> EpisodeResult:
         self._listener.on_end(end, why)
         return EpisodeResult(end, why, tuple(self._transitions), tuple(self._plans), self.state, self._steps)
+
+
+def what_was_done(ground: GroundSkill, outcome: SkillOutcome) -> tuple[GroundSkill, bool]:
+    """What a run of a skill was a run of, and whether that is done: a recovery that nothing calls for is a successful
+    run of what it mends."""
+    return (ground.first, True) if outcome.ending is SkillEnd.NEEDLESS else (ground, outcome.done)
 
 
 def begin_after(

@@ -81,9 +81,10 @@ def test_it_is_done_where_beta_says_so_once_the_policy_has_acted() -> None:
     assert run(recovery(9.0), Counted(SkillEnd.BLOCKED, 3)) == (SkillOutcome(SkillEnd.DONE), 4)
 
 
-def test_it_refuses_where_the_skill_does_not_fail() -> None:
-    outcome, actions = run(recovery(-9.0), Counted(SkillEnd.DONE, 2))
-    assert (outcome.ending, actions) == (SkillEnd.REFUSED, 2)
+@pytest.mark.parametrize("ending", [SkillEnd.DONE, SkillEnd.NEEDLESS])
+def test_it_is_needless_where_the_skill_does_not_fail(ending: SkillEnd) -> None:
+    outcome, actions = run(recovery(-9.0), Counted(ending, 2))
+    assert (outcome.ending, actions) == (SkillEnd.NEEDLESS, 2)
     assert "Fetch does not fail here" in outcome.reason
 
 
