@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 
 from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.state import State
@@ -24,6 +25,7 @@ from tests.planning.kitchen import (
     B,
     Kitchen,
     Notes,
+    X,
     kitchen,
     model,
     nothing,
@@ -65,6 +67,25 @@ def test_distrust_concerns_the_object_that_failed_only() -> None:
     plan_and_execute(world, fills, goal, ExecuteSettings(max_failures=2), notes)
     assert not any("Wipe(b)" in plan for plan in notes.plans)
     assert any("Wipe(a)" in plan for plan in notes.plans)
+
+
+@pytest.mark.parametrize(
+    ("ending", "ran", "reached"), [(SkillEnd.NEEDLESS, "Unlid", True), (SkillEnd.REFUSED, "Wipe", False)]
+)
+def test_a_recovery_that_nothing_calls_for_shows_that_what_it_brings_about_is_there(
+    ending: SkillEnd, ran: str, reached: bool
+) -> None:
+    """A clean cup looks dirty. Wiping it begins with what only works for a clean one, and that works."""
+    world, notes = kitchen(), Notes()
+    lid = replace(UNLID, preconditions=frozenset({CLEAN(X)}))
+    known = model(world, Wipe=(setting("open"), SkillOutcome(ending)), operators=(lid, FILL, WIPE), learned=LEARNED)
+    begins = {"begins_with": lambda objects: known.skill("Unlid").ground(objects)}
+    known = replace(known, skills={**known.skills, "Wipe": replace(known.skill("Wipe"), **begins)})
+    result = plan_and_execute(world, known, GOAL, listener=notes)
+    assert result.success == reached
+    assert result.transitions[0].skill == ran and result.transitions[0].succeeded == reached
+    assert (notes.seen[1][CLEAN(A)] > notes.seen[0][CLEAN(A)]) == reached
+    assert len(result.transitions) <= 5
 
 
 def test_doubt_that_leaves_no_plan_is_dropped_and_the_skill_tried_again() -> None:
