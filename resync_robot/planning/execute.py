@@ -47,11 +47,6 @@ class Model:
         return self.skills[name]
 
 
-AGAIN = 0.09
-"""Cost of beginning with a step that failed just now, less than that of any further step: of plans as good as each
-other one is taken that does something else first, which may change what that step failed of."""
-
-
 UNLIKELY = 0.01
 """Probability of an atom, at least, for a plan that relies on it all the same."""
 
@@ -183,7 +178,7 @@ def plan_and_execute(
             words = outcome.reason or "effects missing"
             reason = f"{step} did not do what it should ({outcome.ending.value}: {words})"
             failures[str(step)] += 1
-            run.in_vain[str(step)] = AGAIN
+            run.in_vain[str(step)] += 1
             if failures[str(step)] >= s.max_failures:
                 return run.ended(EpisodeEnd.STUCK, reason)
             failed = model.skill(step.name).ground(step.objects)
@@ -203,8 +198,8 @@ class _Episode:
         self.state = State({})
         self.atoms: Atoms = frozenset()
         """What plans may build on now: what is certain, and what the current plan relies on as long as it is likely."""
-        self.in_vain: dict[str, float] = {}
-        """Steps that failed since the last one that did not, in words, and what it costs to begin with one again."""
+        self.in_vain: Counter[str] = Counter()
+        """Steps that failed since the last one that did not, in words, and how often."""
         self._plans: list[Plan] = []
         self._transitions: list[Transition] = []
         self._supposed: set[str] = set()
@@ -234,7 +229,7 @@ class _Episode:
                 self._goal,
                 s.heuristic,
                 costs=model.costs,
-                discouraged=self.in_vain,
+                failed=self.in_vain,
             )
         except PlanningError as error:
             found, trust = self._plan_on_trust(error, certain, likely)
@@ -259,7 +254,7 @@ class _Episode:
                     heuristic,
                     costs=costs,
                     likely=likely,
-                    discouraged=self.in_vain,
+                    failed=self.in_vain,
                 )
                 return found, "relying on " + ", ".join(f"{a} ({likely[a]:.2f})" for a in sorted(found.relies_on))
             except PlanningError:
@@ -291,7 +286,7 @@ class _Episode:
                 heuristic,
                 costs=model.costs,
                 likely=unlikely,
-                discouraged=self.in_vain,
+                failed=self.in_vain,
             )
         except PlanningError:
             raise error from None

@@ -129,6 +129,12 @@ class OutcomeCosts:
         """Of running the step where `atoms` hold; above 0."""
         return self._settings.step - math.log(self.success(step, atoms))
 
+    def about_things(self, step: GroundOperator, atoms: Collection[Atom]) -> frozenset[Atom]:
+        """Of these `circumstances` those that the step hangs on, but for what holds of something and anything else, as
+        that the hand holds something."""
+        tallies = self._tallies.get(step.name, ())
+        return frozenset(a for t in tallies if not isinstance(t.form, Exists) and (a := t.atom(step)) in atoms)
+
     def hangs_on(self, step: GroundOperator, objects: Collection[Object]) -> list[tuple[Atom | Predicate, bool]]:
         """What may make the step cheaper, and whether it has to hold for that, or not to: atoms, and predicates from
         whose atoms others are derived.

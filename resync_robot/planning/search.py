@@ -27,6 +27,11 @@ from resync_robot.planning.outcome_costs import OutcomeCosts
 from resync_robot.planning.relevance import relevant
 
 INFINITY = float("inf")
+AGAIN = 0.09
+"""Cost of beginning with a step that failed just now, less than that of any further step: of plans as good as each
+other one is taken that does something else first, which may change what that step failed of."""
+ALIKE = 2.0
+"""How many attempts the usual success of a step counts for, against those that just failed."""
 COST_UNIT = 1e-6
 """Costs are whole numbers of this in a search, so that sums are exact and equal costs are equal."""
 
@@ -134,7 +139,7 @@ def plan(
     max_nodes: int = 50_000,
     costs: OutcomeCosts | None = None,
     likely: Mapping[Atom, float] | None = None,
-    discouraged: Mapping[str, float] | None = None,
+    failed: Mapping[str, int] | None = None,
 ) -> Plan:
     """The cheapest plan, by A* (with a heuristic that never overestimates), up to `WORTH_A_STEP`; always the same one
     for the same input.
@@ -142,14 +147,15 @@ def plan(
     Args:
         costs: of the steps. Without them, or without counts in them, the plan is a shortest one.
         likely: further atoms with their probabilities p. The plan may rely on them from its start, at -log p for each.
-        discouraged: ground steps, in words, that the plan had better not begin with, and what it costs if it does.
+        failed: ground steps, in words, and how often each has just failed. In the same circumstances it will again, the
+            more likely the more often: attempts at one thing are not independent of each other.
 
     Raises:
         PlanningError: no plan reaches the goal, or none was found within `max_nodes`.
         UnknownNameError: the heuristic does not exist.
     """
     start = time.perf_counter()
-    problem = _Problem(operators, objects, atoms, goal, costs=costs, likely=likely, discouraged=discouraged)
+    problem = _Problem(operators, objects, atoms, goal, costs=costs, likely=likely, failed=failed)
     estimate = problem.cost_to_go(heuristic)
     created = 0
 
@@ -185,7 +191,7 @@ def _cheapest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] 
             return operators
         holding = problem.circumstances(node.state)
         for op, state in problem.task.get_successor_states(node.state):
-            child = SearchNode(state, node, op, node.g + problem.cost(op, holding) + problem.discouragement(op, node))
+            child = SearchNode(state, node, op, node.g + problem.cost(op, holding) + problem.extra(op, node, holding))
             if child.g >= best.get(state, INFINITY) or (left := h(child)) == INFINITY:
                 continue
             best[state] = child.g
@@ -274,7 +280,7 @@ class _Problem:
         keep_useless: bool = False,
         costs: OutcomeCosts | None = None,
         likely: Mapping[Atom, float] | None = None,
-        discouraged: Mapping[str, float] | None = None,
+        failed: Mapping[str, int] | None = None,
     ) -> None:
         if not goal:
             raise PlanningError("the goal is empty: there is nothing to plan for")
@@ -300,10 +306,9 @@ class _Problem:
         # Fact 0 always holds and stands for "no precondition": pyperplan's own stand-in is a string. The last one holds
         # until the first step, where there is anything to rely on.
         self._first = first = frozenset({len(self._asked) + 1}) if self._likely else frozenset()
-        extra = discouraged or {}
-        self._discouraged = {
-            i: round(extra[str(op)] / COST_UNIT) for i, op in enumerate(self.ground) if str(op) in extra
-        }
+        self._failed = {i: failed[str(op)] for i, op in enumerate(self.ground) if str(op) in failed} if failed else {}
+        begun = self._costs.circumstances(atoms, self._objects)
+        self._then = {i: self._costs.about_things(self.ground[i], begun) for i in self._failed}
         steps = [
             PyperplanOperator(i, facts(op.preconditions) or {0}, facts(op.add), facts(op.delete | op.swept) | first)
             for i, op in enumerate(self.ground)
@@ -346,11 +351,15 @@ class _Problem:
             return round(-math.log(self._likely[op.name - len(self.ground)][1]) / COST_UNIT)
         return round(self._costs.cost(self.ground[op.name], holding) / COST_UNIT)
 
-    def discouragement(self, op: PyperplanOperator, node: SearchNode) -> int:
-        """What it costs to begin with this operator; 0 where it is not the first step."""
-        if op.name not in self._discouraged or not (node.parent is None or self._first & node.state):
+    def extra(self, op: PyperplanOperator, node: SearchNode, holding: Collection[Atom]) -> int:
+        """What an operator costs besides that failed just now: to begin with it, and to do it in the same circumstances
+        as far as these are about things. Where the robot comes from it can change at will."""
+        if op.name not in self._failed:
             return 0
-        return self._discouraged[op.name]
+        first = node.parent is None or bool(self._first & node.state)
+        same = self._costs.about_things(self.ground[op.name], holding) == self._then[op.name]
+        often = math.log(1 + self._failed[op.name] / ALIKE) if same else 0.0
+        return round((AGAIN * first + often) / COST_UNIT)
 
     def steps(self, found: Sequence[Any]) -> tuple[GroundOperator, ...]:
         return tuple(self.ground[op.name] for op in found if op.name < len(self.ground))

@@ -157,15 +157,34 @@ def test_what_failed_just_now_is_not_begun_with_where_something_else_is_as_good(
     goal = frozenset({FULL(A), FULL(B)})
     atoms = frozenset({OPEN(A), OPEN(B), CLEAN(A), CLEAN(B)})
     usual = plan((FILL,), (A, B), atoms, goal).steps
-    other = plan((FILL,), (A, B), atoms, goal, discouraged={str(usual[0]): 0.05}).steps
+    other = plan((FILL,), (A, B), atoms, goal, failed={str(usual[0]): 1}).steps
     assert other == usual[::-1]
     # Relying on something is no step.
     likely = {CLEAN(B): 0.9}
-    relying = plan((FILL,), (A, B), atoms - {CLEAN(B)}, goal, likely=likely, discouraged={str(usual[0]): 0.05}).steps
+    relying = plan((FILL,), (A, B), atoms - {CLEAN(B)}, goal, likely=likely, failed={str(usual[0]): 1}).steps
     assert relying == usual[::-1]
     # Not at the price of a further step.
-    alone = plan((FILL, WIPE), (A, B), atoms, frozenset({FULL(A)}), discouraged={"Fill(a)": 0.05})
+    alone = plan((FILL, WIPE), (A, B), atoms, frozenset({FULL(A)}), failed={"Fill(a)": 1})
     assert [str(s) for s in alone.steps] == ["Fill(a)"]
+
+
+def test_what_failed_is_done_after_what_changes_its_circumstances() -> None:
+    """Filling a dirty cup mostly works, and wiping one that is full works better than wiping an empty one."""
+    tallies = {
+        "Fill": [Tally(CLEAN, (0,), (20, 20), (16, 20))],
+        "Wipe": [Tally(FULL, (0,), (20, 20), (15, 20))],
+    }
+    operators, goal = (replace(FILL, preconditions=frozenset()), WIPE), frozenset({FULL(A), CLEAN(A)})
+
+    def steps(failed: dict[str, int]) -> list[str]:
+        return [
+            str(s) for s in plan(operators, (A, B), frozenset(), goal, costs=OutcomeCosts(tallies), failed=failed).steps
+        ]
+
+    assert steps({}) == ["Fill(a)", "Wipe(a)"]
+    assert steps({"Fill(a)": 2}) == ["Wipe(a)", "Fill(a)"]
+    # Another cup has nothing to do with it.
+    assert steps({"Fill(b)": 2}) == ["Fill(a)", "Wipe(a)"]
 
 
 def test_jitter_takes_another_of_plans_as_good_and_no_worse_one() -> None:
