@@ -113,7 +113,9 @@ class _LastContacts(Listener):
 def attempt(embodiment: Embodiment, task: Task, model: Model) -> FailedAttempt | None:
     """Plan and execute up to the first failure. None where nothing fails, or the scene does not stand still.
 
-    A recovery of an earlier stage begins with the skill that it mends. Where that fails in a new way, in which the
+    Where something was learned already, a skill that fails once may have failed of what is known, as a punch against a
+    crate does that nobody had wiggled aside, and the next plan gets past it. So it has to fail twice. A recovery of an
+    earlier stage begins with the skill that it mends. Where that fails in a new way, in which the
     recovery does not help, it is that skill which failed.
     """
     simulator = embodiment.simulate(task)
@@ -121,7 +123,8 @@ def attempt(embodiment: Embodiment, task: Task, model: Model) -> FailedAttempt |
         return None
     heard = _LastContacts(simulator)
     model = replace(model, costs=JitteredCosts(model.costs, task.seed))
-    result = plan_and_execute(simulator, model, task.goal, ExecuteSettings(max_failures=1), heard)
+    settings = ExecuteSettings(max_failures=2 if model.learned else 1)
+    result = plan_and_execute(simulator, model, task.goal, settings, heard)
     if not result.transitions or result.transitions[-1].succeeded or heard.ended is None:
         return None
     skill, run_into = heard.ended

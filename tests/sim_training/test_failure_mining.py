@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from resync_robot.core.skill import Skill, SkillEnd, SkillOutcome
+from resync_robot.core.skill import Policy, Skill, SkillEnd, SkillOutcome
+from resync_robot.core.symbols import Object
+from resync_robot.core.world import Observation
 from resync_robot.library_models import initial_model
 from resync_robot.sim_training.domains import find_domain, world_task
 from resync_robot.sim_training.failure_mining import (
@@ -22,6 +24,13 @@ from tests.pucks import DOMAIN, DOOR, PUCK, ROBOT, STONE
 
 HAND, WALL, CRATE = ROBOT("robot"), DOOR("door"), STONE("stone")
 PICK = Skill("Fetch", (ROBOT, PUCK), lambda objects, first: None, 10.0, 20.0).ground((HAND, PUCK("p0")))
+
+
+class GivesUp:
+    """Fails at once."""
+
+    def step(self, observation: Observation) -> SkillOutcome:
+        return SkillOutcome(SkillEnd.BLOCKED)
 
 
 class Touching:
@@ -66,6 +75,22 @@ def test_a_skill_that_fails_inside_a_recovery_is_what_failed() -> None:
     assert failed is not None and (failed.skill, failed.objects) == ("Fetch", (robot, puck))
     assert {o.type for o in failed.run_into} == {DOOR}
     assert useless.ground((robot, puck)).first == fetch.ground((robot, puck))
+
+
+@pytest.mark.parametrize("learned", [{}, {"Ready": None}], ids=["nothing learned", "something learned"])
+def test_what_the_next_attempt_gets_past_is_no_failure_to_learn_from_once_something_was_learned(
+    learned: dict[str, None],
+) -> None:
+    task, model, tries = world_task(DOMAIN, "open", 0, 0), initial_model(DOMAIN, None), []
+    fetch = model.skill("Fetch")
+
+    def start(objects: tuple[Object, ...], first: Observation) -> Policy:
+        tries.append(objects)
+        return fetch.start(objects, first) if len(tries) > 1 else GivesUp()
+
+    clumsy = replace(model, skills={**model.skills, "Fetch": replace(fetch, start=start)}, learned=learned)
+    failed = attempt(DOMAIN.embodiment, task, clumsy)
+    assert (failed is None) == bool(learned)
 
 
 def test_the_same_failure_on_the_way_to_something_else_has_other_names() -> None:
