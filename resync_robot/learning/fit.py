@@ -310,18 +310,20 @@ def _surprise(logits: Tensor, examples: Examples, which: np.ndarray) -> Tensor:
     return functional.binary_cross_entropy_with_logits(logits, values, reduction="none")
 
 
-def chance_of_difference(before: Tensor, after: Tensor, examples: Examples, labels: np.ndarray) -> float:
-    """Standard error of how much the loss over these labels differs between two classifiers, by the same labels.
+def difference(before: Tensor, after: Tensor, examples: Examples, labels: np.ndarray) -> tuple[float, float]:
+    """How much more the second of two classifiers loses over these labels, and the standard error of that.
 
     Args:
         before, after: (n,) logits of all rows.
         labels: (m,) mask of the labels.
     """
     which = np.flatnonzero(labels)
+    if not len(which):
+        return 0.0, 0.0
     some = [_surprise(logits[examples.groups[which]].amin(1), examples, which).numpy() for logits in (before, after)]
-    weights, differences = examples.weights[which], some[1] - some[0]
-    mean = np.average(differences, weights=weights)
-    return float(np.sqrt(((weights * (differences - mean)) ** 2).sum()) / weights.sum())
+    weights, more = examples.weights[which], some[1] - some[0]
+    mean = float(np.average(more, weights=weights))
+    return mean, float(np.sqrt(((weights * (more - mean)) ** 2).sum()) / weights.sum())
 
 
 def _divergence(pairs: Tensor) -> Tensor:
