@@ -226,7 +226,10 @@ class Trainer:
             for i, mine in enumerate(self._average):
                 mine.copy_(tensors[f"average.{i}"])
             state = self._optimiser.state_dict()
-            state["state"] = {i: _part(tensors, f"optimiser.{i}.") for i in range(len(self._parameters))}
+            state["state"] = {
+                i: {k: _laid_out_as(p, v) for k, v in _part(tensors, f"optimiser.{i}.").items()}
+                for i, p in enumerate(self._parameters)
+            }
             self._optimiser.load_state_dict(state)
             self._torch_rng.set_state(tensors["torch_rng"].cpu())
             self._rng.bit_generator.state = json.loads(meta["rng"])
@@ -237,6 +240,13 @@ def step_of(path: Path) -> int:
     """After how many steps `Trainer.save` wrote this file. Raises TrainingError where it is damaged."""
     with reading(path), safe_open(path, "pt") as file:
         return int(file.metadata()["step"])
+
+
+def _laid_out_as(parameter: Tensor, value: Tensor) -> Tensor:
+    """The same values in the parameter's layout in memory: fused steps go through both side by side."""
+    if value.shape != parameter.shape:
+        return value
+    return torch.empty_like(parameter, dtype=value.dtype).copy_(value)
 
 
 def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:

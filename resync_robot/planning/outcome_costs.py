@@ -19,7 +19,7 @@ from resync_robot.planning.abstract import Exists, ForAll
 
 Count = tuple[int, int]
 """(successes, attempts)."""
-WORTH_A_STEP = 0.5
+WORTH_A_STEP = 1.0
 """What saves less of a step than this share of what any step costs is not brought about for its own sake. So a plan is
 dearer than the cheapest by no more than that for each step."""
 JITTER = 0.05
@@ -135,9 +135,11 @@ class OutcomeCosts:
         tallies = self._tallies.get(step.name, ())
         return frozenset(a for t in tallies if not isinstance(t.form, Exists) and (a := t.atom(step)) in atoms)
 
-    def hangs_on(self, step: GroundOperator, objects: Collection[Object]) -> list[tuple[Atom | Predicate, bool]]:
-        """What may make the step cheaper, and whether it has to hold for that, or not to: atoms, and predicates from
-        whose atoms others are derived.
+    def hangs_on(
+        self, step: GroundOperator, objects: Collection[Object]
+    ) -> list[tuple[Atom, Exists | ForAll | None, bool]]:
+        """What may make the step cheaper: an atom, what it is derived by where the model does not know it, and whether
+        it has to hold for that.
 
         Left out is what the preconditions decide, what decides nothing since something else is worse at its best, and
         what saves less than WORTH_A_STEP.
@@ -147,7 +149,7 @@ class OutcomeCosts:
         sides = [(self._posterior(step, *t.held), self._posterior(step, *t.otherwise)) for t in tallies]
         most = min((max(both) for both in sides), default=1.0)
         return [
-            (atom if tally.form is None else tally.form.base, held > otherwise)
+            (atom, tally.form, held > otherwise)
             for tally, (held, otherwise) in zip(tallies, sides, strict=True)
             if (atom := tally.atom(step)) not in decided
             and math.log(most / min(held, otherwise)) > WORTH_A_STEP * self._settings.step

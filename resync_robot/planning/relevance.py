@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Predicate
+from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Predicate, Term
+from resync_robot.planning.abstract import Exists, ForAll
 from resync_robot.planning.outcome_costs import OutcomeCosts
 
 
@@ -28,33 +29,49 @@ def relevant(
     return [op for op in ground if id(op) not in remaining]
 
 
+class _Wishes:
+    """Atoms, and all atoms from which certain others are derived."""
+
+    def __init__(self, atoms: Atoms = frozenset()) -> None:
+        self._atoms = set(atoms)
+        self._derived: dict[Predicate, set[tuple[Exists | ForAll, tuple[Term, ...]]]] = {}
+
+    def add(self, atom: Atom, form: Exists | ForAll | None = None) -> None:
+        """Add an atom; with a form, all those that it is derived from."""
+        if form is None:
+            self._atoms.add(atom)
+        else:
+            self._derived.setdefault(form.base, set()).add((form, atom.args))
+
+    def __contains__(self, atom: Atom) -> bool:
+        objects = tuple(a for a in atom.args if isinstance(a, Object))
+        found = self._derived.get(atom.predicate, ())
+        return atom in self._atoms or any(form.keeps(objects) == args for form, args in found)
+
+
 class _Relevance:
     """What is known to be wanted so far.
 
     Attributes:
-        wanted, unwanted: what had better hold, and what had better not: atoms, and predicates for all of theirs.
-        may_hold, may_not: atoms that hold, or do not, at the beginning or after an operator that was taken.
+        wanted, unwanted: what had better hold, and what had better not.
+        added, deleted: by operators that were taken.
     """
 
     def __init__(self, atoms: Atoms, goal: Atoms, costs: OutcomeCosts, objects: Collection[Object]) -> None:
         self._atoms, self._costs, self._objects = atoms, costs, objects
-        self.wanted: set[Atom | Predicate] = set(goal)
-        self.unwanted: set[Atom | Predicate] = set()
+        self.wanted, self.unwanted = _Wishes(goal), _Wishes()
         self.added: set[Atom] = set()
         self.deleted: set[Atom] = set()
 
     def is_useful(self, op: GroundOperator) -> bool:
-        return any(
-            (a in self.wanted or a.predicate in self.wanted) and (a not in self._atoms or a in self.deleted)
-            for a in op.add
-        ) or any(
-            (a in self.unwanted or a.predicate in self.unwanted) and (a in self._atoms or a in self.added)
-            for a in op.delete | op.swept
+        return any(a in self.wanted and (a not in self._atoms or a in self.deleted) for a in op.add) or any(
+            a in self.unwanted and (a in self._atoms or a in self.added) for a in op.delete | op.swept
         )
 
     def take(self, op: GroundOperator) -> None:
         self.added |= op.add
         self.deleted |= op.delete | op.swept
-        self.wanted |= op.preconditions
-        for what, holds in self._costs.hangs_on(op, self._objects):
-            (self.wanted if holds else self.unwanted).add(what)
+        for atom in op.preconditions:
+            self.wanted.add(atom)
+        for atom, form, holds in self._costs.hangs_on(op, self._objects):
+            (self.wanted if holds else self.unwanted).add(atom, form)
