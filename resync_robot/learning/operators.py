@@ -195,7 +195,8 @@ def _ends(
         if named:
             of_named.append(not any(a in then for a in named))
     enough = len(of_others) >= MIN_SWEPT and np.mean(of_others) > USUALLY
-    return bool(enough and (not of_named or np.mean(of_named) > USUALLY))
+    # A handful is no evidence here either: one punch at a block that was held all along says nothing of others.
+    return bool(enough and (len(of_named) < MIN_SWEPT or np.mean(of_named) > USUALLY))
 
 
 def explained_failures(dataset: Dataset, columns: Sequence[Evidence], learned: Collection[Predicate] = ()) -> set[Step]:
