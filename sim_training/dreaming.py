@@ -195,7 +195,7 @@ class Dreamer:
             result = plan_and_execute(simulator, model, task.goal, ExecuteSettings(max_failures=1))
             return [Trajectory(result.transitions, task.goal, result.success, dream.source)]
         if dream.wander:
-            rng = np.random.default_rng([dream.seed, REDRAWN])
+            rng = np.random.default_rng([dream.seed, REDRAWN])  # no scene is drawn with it
             recoveries, placement = {f.recovery for f in self.failures}, dream.placements[0]
             walk = wander(simulator, model, task, lambda s: self._recovery(placement, s), recoveries, rng)
             return [Trajectory(walk, task.goal, False, dream.source)] if walk else []

@@ -97,7 +97,7 @@ class AtomBeliefs:
         """What the step brings about is so with the probability of its success, or was so before, given its word."""
         for atom in (step.delete | step.swept) - step.add:
             self._evidence.pop(atom, None)
-        if outcome.ending is SkillEnd.REFUSED:
+        if outcome.ending in (SkillEnd.REFUSED, SkillEnd.NEEDLESS):
             return
         trust = self._settings.word / (1 - self._settings.word)
         for atom in self._learned(step.add):

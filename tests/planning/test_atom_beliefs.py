@@ -96,10 +96,11 @@ def test_what_is_restored_is_believed_again() -> None:
     assert b.probability(CLEAN(A)) == pytest.approx(0.95)
 
 
-def test_a_skill_that_refused_to_begin_restored_nothing() -> None:
+@pytest.mark.parametrize("ending", [SkillEnd.REFUSED, SkillEnd.NEEDLESS])
+def test_a_skill_that_refused_to_begin_restored_nothing(ending: SkillEnd) -> None:
     b = beliefs(clean=0.0)
     for _ in range(5):
-        assert not b.attempted(WIPE_A, REFUSED, looks(clean=0.0))
+        assert not b.attempted(WIPE_A, SkillOutcome(ending), looks(clean=0.0))
     assert b.probability(CLEAN(A)) == pytest.approx(0.05)
 
 
@@ -124,7 +125,7 @@ def test_missing_effects_and_effects_that_stay_are_no_success() -> None:
     assert not beliefs().attempted(soiling, DONE, looks()), "it is still open"
 
 
-OUTCOMES = st.sampled_from([DONE, BLOCKED, REFUSED])
+OUTCOMES = st.sampled_from([DONE, BLOCKED, REFUSED, SkillOutcome(SkillEnd.NEEDLESS)])
 
 
 @given(st.lists(st.tuples(st.sampled_from([FILL_A, WIPE_A]), OUTCOMES, st.floats(0, 1), st.floats(0, 1)), max_size=30))
