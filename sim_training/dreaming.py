@@ -20,13 +20,14 @@ from resync_robot.core.embodiment import Embodiment
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.skill import GroundSkill
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object, Type
+from resync_robot.core.symbols import Atoms, Object, Term, Type
 from resync_robot.core.task import Domain, Task
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.learning.dataset import ATTEMPT
 from resync_robot.learning.failures import FailureModel, place_beside
 from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill, what_was_done
 from resync_robot.planning.outcome_costs import JitteredCosts
+from resync_robot.sim_training.recovery_problem import brought_about
 from resync_robot.sim_training.wandering import wander
 
 WHEN = ("before", "after")
@@ -218,7 +219,7 @@ class Dreamer:
         result = plan_and_execute(simulator, model, task.goal, settings, reaction=react)
         found = [self._until_in_vain(Trajectory(result.transitions, task.goal, result.success, dream.source))]
         done = {(t.skill, t.objects) for t in result.transitions if t.succeeded}
-        missed = [g for p in wanted if (g := self._recovery(p, task.initial)) and (g.name, g.objects) not in done]
+        missed = [p for p in wanted if (g := self._recovery(p, task.initial)) and (g.name, g.objects) not in done]
         if not result.success and missed:
             found.append(self._recovered_first(dream, task, missed))
         return found
@@ -232,17 +233,36 @@ class Dreamer:
                 return replace(lived, transitions=lived.transitions[: i + 1], solved=False)
         return lived
 
-    def _recovered_first(self, dream: Dream, task: Task, recoveries: Sequence[GroundSkill]) -> Trajectory:
+    def _recovered_first(self, dream: Dream, task: Task, placements: Sequence[Placement]) -> Trajectory:
         simulator = self.embodiment.simulate(task)
         simulator.reset(task.initial)
         done: list[Transition] = []
-        for ground in recoveries:
+        for p in placements:
+            ready, prepared = brought_about(simulator, self.model, self._needs(p, task.initial))
+            done += prepared
+            if not ready:
+                return Trajectory(tuple(done), task.goal, False, dream.source)
             before = simulator.perceive()
+            ground = self._recovery(p, before)
             ran, well = what_was_done(ground, run_skill(simulator, ground))
             done.append(Transition(before, ran.name, ran.objects, simulator.perceive(), well))
         rest = plan_and_execute(simulator, self.model, task.goal, ExecuteSettings(max_failures=1))
         solved = rest.success and all(t.succeeded for t in done)
         return Trajectory((*done, *rest.transitions), task.goal, solved, dream.source)
+
+    def _needs(self, p: Placement, state: State) -> Atoms:
+        """What has to hold of the world for the failed skill to be begun, as far as was given and is about nothing else
+        than the failure is. The recovery was only ever begun there. Not what holds of the robot: it may be its full
+        hand that leaves no room."""
+        failure = self.failures[p.failure]
+        operator = next((o for o in self.domain.operators if o.name == failure.skill), None)
+        if operator is None:
+            return frozenset()
+        bound: dict[Term, Object] = {}
+        if failure.argument is not None:
+            bound[operator.parameters[failure.argument]] = reference_of(state, failure, p.reference)
+        known = (a for a in operator.preconditions if all(term in bound for term in a.args))
+        return frozenset(a.substitute(bound) for a in known)
 
     def _recovery(self, p: Placement, state: State, failed: Sequence[Object] = ()) -> GroundSkill:
         """The recovery for a placement.

@@ -14,6 +14,8 @@ from resync_robot.core.skill import GroundSkill
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object, Type
 from resync_robot.core.task import Domain, Task
+from resync_robot.core.trajectory import Transition
+from resync_robot.core.world import World
 from resync_robot.learning.failures import lies_beside, place_beside
 from resync_robot.learning.relational_view import RelationalView
 from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
@@ -68,12 +70,25 @@ class Judge:
             simulator.restore(before)
         return succeeded
 
+    def makes_ready(self, simulator: TrainingSimulator[Any, Any], model: Model) -> bool:
+        """Bring about what has to hold for the failed skill to be begun: a lid may lie over what it is about. Whether
+        that succeeded."""
+        return brought_about(simulator, model, self.needs)[0]
+
     def _succeeds(self, simulator: TrainingSimulator[Any, Any]) -> bool:
         if self.plan_with is None:
             run_skill(simulator, self.failed)
         else:
             plan_and_execute(simulator, self.plan_with, self.effects, AS_BEFORE)
         return self.effects <= self.true_atoms(simulator.perceive())
+
+
+def brought_about(simulator: World[Any, Any], model: Model, atoms: Atoms) -> tuple[bool, tuple[Transition, ...]]:
+    """Whether these atoms hold, planned for where they do not, and what was done for that."""
+    if atoms <= model.abstraction.true_atoms(simulator.perceive()):
+        return True, ()
+    result = plan_and_execute(simulator, model, atoms, AS_BEFORE)
+    return result.success, result.transitions
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,8 @@ class TrainConfig:
     domain declares, or those that the library of --from does not know."""
 
     library: Annotated[Path | None, tyro.conf.arg(name="from", help_behavior_hint="")] = None
-    """A library to build on: a folder, of this domain. Default: begin with the given model."""
+    """A library to build on, a folder. Of another domain it only takes over the recoveries that stages here have as
+    well, and their camera policies. Default: begin with the given model."""
 
     workers: int = 2
     """Simulation processes, for --device cpu."""
@@ -228,10 +229,15 @@ def _run(settings: RunSettings, workers: int, domain: Domain, folder: RunFolder)
     from resync_robot.core.library import load_library
     from resync_robot.curriculum.learn_stages import Curriculum, chosen_stages, learn_stages
     from resync_robot.curriculum.report import report
+    from resync_robot.curriculum.taken_over import check_taken_over
 
     known_at = Path(settings.library) if settings.library else None
     known = load_library(known_at) if known_at is not None else None
+    elsewhere = known if known is not None and known.domain != domain.name else None
+    known = None if elsewhere is not None else known
     stages = chosen_stages(domain, settings.stages, known)
+    if elsewhere is not None:
+        check_taken_over(stages, elsewhere, domain, settings.skills == "camera")
     arm = domain.embodiment is None
     packages = {p: version(p) for p in ("torch", "numpy", "pyperplan", *(("lerobot", "sapien") if arm else ()))}
     curriculum = Curriculum(
@@ -245,11 +251,12 @@ def _run(settings: RunSettings, workers: int, domain: Domain, folder: RunFolder)
         rig=folder.rig if arm else None,
         known=known,
         known_at=known_at,
+        elsewhere=elsewhere,
         by_camera=settings.skills == "camera",
         device=settings.device,
     )
     first = len(known.stages) + 1 if known is not None else 1
-    names = [f"{number}-{s.recovery}/{step}" for number, s in enumerate(stages, first) for step in curriculum.steps]
+    names = [f"{number}-{s.recovery}/{step}" for number, s in enumerate(stages, first) for step in curriculum.steps(s)]
     with Stages(tuple(names)) as bars:
         library = learn_stages(curriculum, folder, bars.stage)
     say("\n" + report(domain, library))

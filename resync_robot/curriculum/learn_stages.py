@@ -24,6 +24,7 @@ from resync_robot.curriculum.presets import ARM_PRESETS, STAGE_PRESETS, TRAINING
 from resync_robot.curriculum.recover import check, recover
 from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
+from resync_robot.curriculum.taken_over import TAKE_OVER, take_over
 from resync_robot.learning.concepts import learn_concepts
 from resync_robot.learning.dataset import StageData
 from resync_robot.learning.failures import FailureModel, PairGaussian
@@ -47,6 +48,8 @@ class Curriculum:
         stages: in the order of learning.
         rig: of an arm.
         known: the library to build on, and where it lies; None to begin with the given model.
+        elsewhere: a library of another domain. A recovery that it holds under the name that a stage gives to its own
+            is taken over, with the camera policy; what it means here is learned.
         provenance: what every library says of how it came about.
         by_camera: teach an arm's recovery to see by camera, too.
         device: where that is learned, and an arm's recovery.
@@ -62,12 +65,18 @@ class Curriculum:
     rig: Rig | None = None
     known: Library | None = None
     known_at: Path | None = None
+    elsewhere: Library | None = None
     by_camera: bool = False
     device: str = "cpu"
 
-    @property
-    def steps(self) -> tuple[str, ...]:
-        """Of each stage."""
+    def takes_over(self, stage: Stage) -> bool:
+        """Does another domain's library hold the recovery of this stage?"""
+        return self.elsewhere is not None and stage.recovery in self.elsewhere.skills
+
+    def steps(self, stage: Stage) -> tuple[str, ...]:
+        """Of a stage."""
+        if self.takes_over(stage):
+            return tuple(TAKE_OVER if step == "recover" else step for step in STEPS)
         return (*STEPS[:-1], DISTIL, STEPS[-1]) if self.by_camera else STEPS
 
     @property
@@ -190,11 +199,9 @@ class _Stage:
         c, stage, folder, number = self._c, self._stage, self._folder, self._folder.number
         domain, budgets, workers = c.domain, c.budgets, c.workers
         with self._step("mine") as tell:
-            seeds = c.seeds(number, "mine")
-            mined = mine(domain, stage, folder, self._known, seeds, budgets.failures, workers, tell)
-        with self._step("recover") as tell:
-            trials = c.seeds(number, "recover")[: budgets.checks]
-            record = recover(self._known, stage, folder, budgets, mined, c.seed, trials, workers, tell, c.device)
+            seeds, count = c.seeds(number, "mine"), budgets.explained if c.takes_over(stage) else budgets.failures
+            mined = mine(domain, stage, folder, self._known, seeds, count, workers, tell)
+        record = self._recovery(mined)
         able = self._known.with_recovery(stage.recovery, record)
         with self._step("check") as tell:
             seeds = c.seeds(number, "check")[: budgets.checks]
@@ -213,9 +220,21 @@ class _Stage:
         with self._step("discover") as tell:
             concepts = self._discover([*data, own], tell)
             folder.record("discover", {"report": concepts.report})
-        policy = self._distil(record, newest) if c.by_camera else None
+        policy = self._policy(record, newest) if c.by_camera else None
         with self._step("save"):
             return self._save(record, newest, concepts, policy), own
+
+    def _recovery(self, mined: Mined) -> Record:
+        """What mends the failure: learned, or taken over."""
+        c, stage = self._c, self._stage
+        if c.elsewhere is not None and c.takes_over(stage):
+            with self._step(TAKE_OVER):
+                return take_over(stage, self._folder, c.elsewhere)
+        with self._step("recover") as tell:
+            trials = c.seeds(self._folder.number, "recover")[: c.budgets.checks]
+            return recover(
+                self._known, stage, self._folder, c.budgets, mined, c.seed, trials, c.workers, tell, c.device
+            )
 
     @contextmanager
     def _step(self, name: str) -> Iterator[Tell]:
@@ -244,8 +263,10 @@ class _Stage:
             )
         return concepts
 
-    def _distil(self, record: Record, failure: FailureModel) -> dict[str, bytes]:
+    def _policy(self, record: Record, failure: FailureModel) -> Mapping[str, bytes]:
         """The files of the recovery's camera policy."""
+        if self._c.elsewhere is not None and self._c.takes_over(self._stage):
+            return self._c.elsewhere.policies[self._stage.recovery]
         from resync_robot.curriculum.distil import PLANS, distil  # LeRobot and a renderer, which few runs need
 
         c = self._c
@@ -267,6 +288,10 @@ class _Stage:
             figures=folder.all_figures,
         )
         library = make_library(c.domain, c.rig, learned, record, concepts, c.provenance, policy, self._library)
+        if c.takes_over(stage):
+            save_library(library, folder.library)
+            folder.record("save", {"content_hash": library.content_hash})
+            return library
         library = with_card(library, c.domain)
         save_library(library, folder.library)
         folder.record("save", {"content_hash": library.content_hash})

@@ -17,6 +17,8 @@ class StagePreset:
 
     failures: int = 200
     """Size of the mined set D^F."""
+    explained: int = 40
+    """The same where the recovery is known already: enough to tell what failed, and where its cause lies."""
     recovery: RecoverySettings = field(default_factory=RecoverySettings)
     checks: int = 60
     """Fresh tasks in which the recovery is followed by the skill that failed."""

@@ -29,10 +29,14 @@ def _stage(number: int, stage: LearnedStage) -> list[str]:
     f: Mapping[str, Any] = stage.figures
     causes, failed = " and ".join(stage.failure.objects), stage.failure.skill
     lines = [f"Stage {number}: {failed} fails in {stage.scenario} on {causes}; mended by {stage.recovery}."]
-    if "mine" in f and "recover" in f and "check" in f:
+    how = ""
+    if "take-over" in f:
+        how = f"taken over from {f['take-over']['from']}"
+    elif "recover" in f:
+        how = f"learned in {f['recover']['steps'] / 1000:.0f} k actions with {f['recover']['verdicts']} verdicts"
+    if "mine" in f and how and "check" in f:
         lines.append(
-            f"  {f['mine']['failed']} of {f['mine']['tasks']} tasks failed; learned in "
-            f"{f['recover']['steps'] / 1000:.0f} k actions with {f['recover']['verdicts']} verdicts; "
+            f"  {f['mine']['failed']} of {f['mine']['tasks']} tasks failed; {how}; "
             f"{failed} then succeeds in {f['check']['mended']} of {f['check']['worlds']} fresh tasks."
         )
     if "distil" in f:

@@ -25,6 +25,7 @@ LIST: Shape = [float]
 FIGURES: dict[str, Shape] = {
     "mine": {"tasks": int, "failed": int, "kept": int},
     "recover": {"curve": {"steps": LIST, "success": LIST, "return": LIST, "seconds": LIST}, "steps": float},
+    "take-over": {"from": str, "library": str},
     "check": {"worlds": int, "mended": int},
     "distil": {"points": [{"step": int, "worlds": int, "success": int}], "chosen": int},
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,10 +18,11 @@ from resync_robot.curriculum.mine import task_of
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.domains.cornered_insertion_s.corner import RELATIONS
 from resync_robot.sim_training.failure_mining import Explanation
-from resync_robot.sim_training.recovery_problem import Problem, Start, pose_problem
+from resync_robot.sim_training.recovery_problem import Problem, Start, judge_of, pose_problem
 from tests.scenes import B0, THE_BOX, R
 
 DOMAIN = find_domain("cornered-insertion-s")
+PUCKS = str(Path(__file__).parents[2] / "docs" / "puck_behind_a_door.py")
 
 
 @pytest.fixture(scope="module")
@@ -70,3 +72,18 @@ def test_free_states_have_every_object_of_the_problem(problem: Problem) -> None:
         start = problem.free(seed)
         assert start is not None and set(problem.objects) <= set(start.state.objects)
         assert len(start.state.of_type(BLOCK)) == 2
+
+
+@pytest.mark.parametrize(("skill", "others"), [("Fetch", ()), ("Bring", ("pad",))])
+def test_what_the_failed_skill_needs_is_brought_about_first(skill: str, others: tuple[str, ...]) -> None:
+    """In the toy of the guide, with all doors open: a puck has to be held before it can be brought."""
+    context = Known(domain=PUCKS, rig=None).open()
+    task = context.domain.scenario("open").sample(np.random.default_rng(3), 3)
+    there = {o.type.name: o for o in reversed(task.initial.objects)}
+    objects = tuple(there[name] for name in ("robot", "puck", *others))
+    judge = judge_of(context.domain, context.model, Explanation(skill, objects, objects[1], (there["door"],)))
+    simulator = context.embodiment.simulate(task)
+    assert simulator.reset(task.initial)
+    assert (judge.needs <= context.model.abstraction.true_atoms(simulator.perceive())) == (skill == "Fetch")
+    assert judge.makes_ready(simulator, context.model)
+    assert judge.needs <= context.model.abstraction.true_atoms(simulator.perceive())
