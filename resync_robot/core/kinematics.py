@@ -28,6 +28,8 @@ WORK_BRANCH = (-1, -1, 1)
 LONGEST_STEP = 0.5
 """rad between two points of a path; a longer one is another configuration, not the next one."""
 TURN = 2 * np.pi
+ROUNDING = 1e-9
+"""How far beyond 1 a sine may be for it to count as 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,11 +102,30 @@ class Kinematics:
             pose = np.matmul(pose, link, out=frames[i])
         return frames
 
+    def joint_axes(self, q: Float[np.ndarray, "6"]) -> tuple[Float[np.ndarray, "6 3"], Float[np.ndarray, "6 3"]]:
+        """Directions of the joints' axes in the base, and a point on each; in plain floats, as `_forward_one`."""
+        (d1, _, _, d4, d5, _), (_, a2, a3, _, _, _) = self.d, self.a
+        c1, s1, c5, s5 = math.cos(q[0]), math.sin(q[0]), math.cos(q[4]), math.sin(q[4])
+        q23, q234 = q[1] + q[2], q[1] + q[2] + q[3]
+        c, s = math.cos(q234), math.sin(q234)
+        flat = s1, -c1, 0.0
+        fifth, sixth = (c1 * s, s1 * s, -c), (s1 * c5 - c1 * c * s5, -s1 * c * s5 - c1 * c5, -s * s5)
+        out, up = a2 * math.cos(q[1]), d1 + a2 * math.sin(q[1])
+        elbow = c1 * out, s1 * out, up
+        out, up = out + a3 * math.cos(q23), up + a3 * math.sin(q23)
+        wrist = c1 * out, s1 * out, up
+        last = wrist[0] + d4 * s1, wrist[1] - d4 * c1, wrist[2]
+        hand = last[0] + d5 * fifth[0], last[1] + d5 * fifth[1], last[2] + d5 * fifth[2]
+        points = np.array([(0.0, 0.0, 0.0), (0.0, 0.0, d1), elbow, wrist, last, hand])
+        return np.array([(0.0, 0.0, 1.0), flat, flat, flat, fifth, sixth]), points
+
     def inverse_branch(self, base_T_flange: Any, branch: tuple[int, int, int], xp: Any = np) -> Any:
         """One of the eight solutions, (..., 6); NaN where that branch does not reach.
 
         Follows from R = Rz(q2+q3+q4) Ry(-q5) Rz(q6) in the frame of joint 1, and a two-link arm for q2, q3.
         """
+        if isinstance(base_T_flange, np.ndarray) and base_T_flange.ndim == 2:
+            return self._inverse_one(base_T_flange, branch)
         shoulder, wrist, elbow = branch
         (d1, _, _, d4, d5, d6), (_, a2, a3, _, _, _) = self.d, self.a
         r, p = base_T_flange[..., :3, :3], base_T_flange[..., :3, 3]
@@ -135,6 +156,32 @@ class Kinematics:
         q3 = elbow * xp.arccos(_domain((x * x + y * y - a2 * a2 - a3 * a3) / (2 * a2 * a3), xp))
         q2 = xp.arctan2(y, x) - xp.arctan2(a3 * xp.sin(q3), a2 + a3 * xp.cos(q3))
         q = xp.stack([q1, q2, q3, q234 - q2 - q3, q5, q6], -1)
+        return (q + np.pi) % (2 * np.pi) - np.pi
+
+    def _inverse_one(
+        self, base_T_flange: Float[np.ndarray, "4 4"], branch: tuple[int, int, int]
+    ) -> Float[np.ndarray, "6"]:
+        """`inverse_branch` of one pose in plain floats: a tenth of the time, and control loops call it always."""
+        shoulder, wrist, elbow = branch
+        (d1, _, _, d4, d5, d6), (_, a2, a3, _, _, _) = self.d, self.a
+        (xx, yx, zx, px), (xy, yy, zy, py), (xz, yz, zz, pz) = base_T_flange[:3].tolist()
+        wx, wy, wz = px - d6 * zx, py - d6 * zy, pz - d6 * zz
+        away = math.hypot(wx, wy)
+        lean = _asin(d4 / away) if away > 0 else math.nan
+        heading = math.atan2(wy, wx)
+        q1 = heading + lean if shoulder > 0 else heading + math.pi - lean
+        c1, s1 = math.cos(q1), math.sin(q1)
+        q5 = wrist * _acos(s1 * zx - c1 * zy)
+        sign5 = -1.0 if math.sin(q5) < 0 else 1.0
+        q6 = math.atan2(-(s1 * yx - c1 * yy) * sign5, (s1 * xx - c1 * xy) * sign5)
+        s6, c6 = math.sin(q6), math.cos(q6)
+        y5x, y5y, y5z = s6 * xx + c6 * yx, s6 * xy + c6 * yy, s6 * xz + c6 * yz
+        q234 = math.atan2(-(c1 * y5x + s1 * y5y), y5z)
+        x = c1 * wx + s1 * wy - d5 * math.sin(q234)
+        y = wz - d1 + d5 * math.cos(q234)
+        q3 = elbow * _acos((x * x + y * y - a2 * a2 - a3 * a3) / (2 * a2 * a3))
+        q2 = math.atan2(y, x) - math.atan2(a3 * math.sin(q3), a2 + a3 * math.cos(q3))
+        q = np.array([q1, q2, q3, q234 - q2 - q3, q5, q6])
         return (q + np.pi) % (2 * np.pi) - np.pi
 
     def inverse(
@@ -195,10 +242,20 @@ class Kinematics:
         return q
 
 
+def _asin(value: float) -> float:
+    """NaN for what is outside of the domain by more than a rounding error."""
+    return math.asin(max(-1.0, min(1.0, value))) if abs(value) <= 1.0 + ROUNDING else math.nan
+
+
+def _acos(value: float) -> float:
+    """The same."""
+    return math.acos(max(-1.0, min(1.0, value))) if abs(value) <= 1.0 + ROUNDING else math.nan
+
+
 def _domain(value: Any, xp: Any) -> Any:
     """Clip rounding errors of an arccos or arcsin argument; what is truly outside becomes NaN."""
     clipped = xp.clip(value, -1.0, 1.0)
-    return xp.where(abs(value) > 1.0 + 1e-9, value * float("nan"), clipped)
+    return xp.where(abs(value) > 1.0 + ROUNDING, value * float("nan"), clipped)
 
 
 def _matrix(rows: list[list[Any]], xp: Any) -> Any:

@@ -166,10 +166,9 @@ class Rig:
 
     def tip_jacobian(self, q: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6 6"]:
         """Linear over angular velocity of the tip in the world (m/s, rad/s), per rad/s of each joint."""
-        frames = self.arm.world_T_base @ self.arm.kinematics.link_frames(q)
-        tip = (frames[-1] @ self.gripper.flange_T_tip)[:3, 3]
-        before = np.concatenate([self.arm.world_T_base[None], frames[:-1]])
-        (ax, ay, az), (x, y, z) = before[:, :3, 2].T, (tip - before[:, :3, 3]).T
+        base, tip = self.arm.world_T_base, self.tip_pose(q)[:3, 3]
+        axes, points = self.arm.kinematics.joint_axes(q)
+        (ax, ay, az), (x, y, z) = base[:3, :3] @ axes.T, (tip - base[:3, 3])[:, None] - base[:3, :3] @ points.T
         # Written out: `np.cross` takes a tenth of a millisecond for six products.
         return np.array([ay * z - az * y, az * x - ax * z, ax * y - ay * x, ax, ay, az], order="F")
 

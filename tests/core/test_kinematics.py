@@ -67,6 +67,30 @@ def test_torch_gives_what_numpy_gives() -> None:
         np.testing.assert_allclose(UR7E.inverse_branch(pose, branch, torch).numpy(), expected, atol=1e-6)
 
 
+@given(arms, joints)
+def test_axes_are_those_of_the_frames_before_each_joint(kinematics: Kinematics, q: np.ndarray) -> None:
+    before = np.concatenate([np.eye(4)[None], kinematics.link_frames(q)[:-1]])
+    axes, points = kinematics.joint_axes(q)
+    np.testing.assert_allclose(axes, before[:, :3, 2], atol=1e-12)
+    np.testing.assert_allclose(points, before[:, :3, 3], atol=1e-12)
+
+
+@given(arms, joints, st.sampled_from(BRANCHES), st.floats(0.5, 2.0))
+def test_one_pose_has_the_solution_of_a_batch_of_one(
+    kinematics: Kinematics, q: np.ndarray, branch: tuple[int, int, int], further: float
+) -> None:
+    """Plain floats against arrays, also where the branch does not reach."""
+    pose = kinematics.forward(q)
+    pose[:3, 3] *= further
+    with np.errstate(invalid="ignore"):
+        batch = kinematics.inverse_branch(pose[None], branch)[0]
+    one = kinematics.inverse_branch(pose, branch)
+    assert np.isfinite(batch).all() == np.isfinite(one).all()
+    if np.isfinite(one).all():
+        # At a singular pose rounding decides what of a turn is whose; elsewhere, and beyond a turn, they agree.
+        np.testing.assert_allclose(kinematics.forward(one), kinematics.forward(batch), atol=1e-6)
+
+
 @given(arms, joints, st.sampled_from(BRANCHES))
 def test_every_branch_that_answers_reaches_the_pose(
     kinematics: Kinematics, q: np.ndarray, branch: tuple[int, int, int]
