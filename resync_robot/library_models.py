@@ -95,6 +95,13 @@ def known_concepts(domain: Domain, library: Library) -> Concepts:
     return load_concepts(library.domain_pddl, library.predicates, domain)
 
 
+def learned_names(domain: Domain, library: Library) -> list[str]:
+    """Predicates and skills of a library's model that the domain did not give."""
+    concepts = known_concepts(domain, library)
+    given = {*(p.name for p in domain.predicates), *(o.name for o in domain.operators)}
+    return sorted({*(p.name for p in concepts.predicates), *(o.name for o in concepts.operators)} - given)
+
+
 def sees_by_camera(domain: Domain, library: Library) -> bool:
     """Does the library hold a camera policy for the recovery?"""
     return domain.recovery in library.policies

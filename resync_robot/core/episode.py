@@ -57,11 +57,11 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Type
 from resync_robot.core.vocabulary import TYPES
 
-FORMAT = 5
+FORMAT = 6
 """1 had pictures as plain JPEG, and nothing of ROS 2; in 2 no date was told, and times in the file began at 0; up to 3
 JSON stood in the file as such, and each camera and joint had a frame in the world; up to 4 the types of objects were
-not told."""
-READABLE = (2, 3, 4, 5)
+not told, up to 5 not the model that was planned with."""
+READABLE = (2, 3, 4, 5, 6)
 SCENE_VIEW = "scene"
 """The camera by whose name a simulator's own pictures are recorded."""
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -141,6 +141,8 @@ class EpisodeMeta:
         objects: name -> type, in the order in which the task has them.
         types: name -> `Type.to_json`, of all types of the domain.
         settings: of the deployment, by the names of `DeployConfig`: those that change what is asked of the world.
+        model: what was planned with: `pddl`, the text of a domain, and `learned`, the names of predicates and skills in
+            it that were not given; empty where nobody told.
     """
 
     rig_hash: str
@@ -157,6 +159,7 @@ class EpisodeMeta:
     objects: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     types: Mapping[str, Any] = field(default_factory=dict)
+    model: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def began_ns(self) -> int:

@@ -20,7 +20,7 @@ SCHEMAS = {
     "meta": _object(
         format=_COUNT, rig_hash=_TEXT, rig=_ANY, library_hash=_TEXT, domain=_TEXT, scenario=_TEXT, goal=_TEXT,
         seed=_COUNT, backend=_TEXT, versions=_ANY, frames=_ANY, began=_TEXT, objects=_ANY, settings=_ANY,
-        types=_ANY,
+        types=_ANY, model=_ANY,
     ),
     "joints": _object(
         measured=_SIX, velocity=_SIX, opening=_NUMBER, sent=_SIX, sent_opening=_NUMBER, requested=_SIX,

@@ -7,7 +7,8 @@ from typing import Any
 
 from resync_robot.core.library import LearnedStage, Library
 from resync_robot.core.task import Domain
-from resync_robot.library_models import known_concepts
+from resync_robot.library_models import known_concepts, learned_names
+from resync_robot.planning.model_table import model_table
 from resync_robot.planning.pddl import operator_to_pddl
 
 
@@ -17,7 +18,9 @@ def report(domain: Domain, library: Library) -> str:
     concepts, given = known_concepts(domain, library), {o.name: o for o in domain.operators}
     learned = [p for p in concepts.predicates if p.name in concepts.records]
     signatures = ", ".join(f"{p.name}({', '.join(t.name for t in p.types)})" for p in learned)
+    named = learned_names(domain, library)
     lines.append(f"Discovered predicates: {signatures or 'none'}")
+    lines += ["What each skill needs and does, **learned** or given:", model_table(concepts.operators, named)]
     lines.append("Operators (those marked * are new or differ from the given model):")
     for operator in concepts.operators:
         mark = "  " if given.get(operator.name) == operator else "* "

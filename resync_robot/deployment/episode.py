@@ -254,6 +254,7 @@ def about(config: DeployConfig, domain: Domain, library: Library, task: Task) ->
 
     from resync_robot import __version__
     from resync_robot.deployment.replayed_episode import settings_of
+    from resync_robot.library_models import learned_names
 
     return {
         "library_hash": library.content_hash,
@@ -266,6 +267,7 @@ def about(config: DeployConfig, domain: Domain, library: Library, task: Task) ->
         "objects": {o.name: o.type.name for o in task.objects},
         "settings": settings_of(config),
         "types": {t.name: t.to_json() for t in domain.types},
+        "model": {"pddl": library.domain_pddl, "learned": learned_names(domain, library)},
     }
 
 

@@ -449,7 +449,10 @@ def test_a_recording_has_the_types_of_its_objects(tmp_path):
 
 
 def test_a_recording_without_types_has_those_of_the_arm(tmp_path):
-    content = {"format": 4, **{k: getattr(meta(), k) for k in meta().__dataclass_fields__ if k != "types"}}
+    content = {
+        "format": 4,
+        **{k: getattr(meta(), k) for k in meta().__dataclass_fields__ if k not in ("types", "model")},
+    }
     message = json.dumps({"objects": block_state(0.1).to_json()}).encode()
     raw_episode(tmp_path / "e.mcap", "/state", message, content)
     assert [s for _, s in read_episode(tmp_path / "e.mcap").states()] == [block_state(0.1)]

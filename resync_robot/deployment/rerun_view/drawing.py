@@ -19,6 +19,7 @@ from resync_robot.core.plan_progress import PlanProgress, Standing, plan_progres
 from resync_robot.deployment.rerun_view import plane, space
 from resync_robot.deployment.rerun_view.arm import draw_cameras, draw_forces, draw_robot
 from resync_robot.deployment.rerun_view.layout import blueprint
+from resync_robot.deployment.rerun_view.model import draw_model
 
 _LEVELS = {
     EventKind.GIVE_UP: "ERROR", EventKind.STOP: "ERROR", EventKind.MAY_MOVE: "ERROR", EventKind.REPLAN: "WARN"
@@ -58,6 +59,7 @@ def draw(episode: Episode, recording: rr.RecordingStream) -> None:
     recording.send_recording_name(f"{episode.meta.domain} {episode.meta.scenario}: {episode.meta.goal}")
     recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _draw_about(episode, recording)
+    draw_model(episode, recording)
     if episode.meta.rig:
         draw_robot(episode, recording)
     draw_cameras(episode, recording)

@@ -31,6 +31,7 @@ def blueprint(episode: Episode) -> rrb.Blueprint:
             name="Atoms",
         ),
         *(_arm_tabs() if episode.meta.rig else ()),
+        *(_model_tab() if episode.meta.model else ()),
         rrb.TextDocumentView(origin="about", name="About"),
         active_tab=0,
     )  # fmt: skip
@@ -60,6 +61,14 @@ def _scenes(episode: Episode) -> Iterator[rrb.View]:
             None if edges is None else rrb.VisualBounds2D(x_range=edges[:, 0].tolist(), y_range=edges[:, 1].tolist())
         )
         yield rrb.Spatial2DView(origin="plane", name="Scene in the plane", background=BACKGROUND, visual_bounds=shown)
+
+
+def _model_tab() -> Iterator[rrb.Container]:
+    yield rrb.Vertical(
+        rrb.GraphView(origin="model/graph", name="What makes what true"),
+        rrb.TextDocumentView(origin="model/table", name="Model"),
+        name="Model",
+    )
 
 
 def _arm_tabs() -> Iterator[rrb.Container]:
