@@ -55,6 +55,18 @@ def free_task(rng: np.random.Generator, seed: int, counts: Mapping[Type, int]) -
     return sample_task(rng, seed, tower("b0", "b1"), layout, PRACTICE)
 
 
+def practice_task(rng: np.random.Generator, seed: int) -> Task:
+    """The tower of b0 on b1, one of them in the way as in Cornered Insertion-S; the lid off and the drawer open, which
+    stand in nobody's way and would take half of an attempt."""
+
+    def draw(blocks: int) -> Task:
+        free = tuple(f"b{i}" for i in range(blocks))
+        layout = FurnishedLayout(free=free, in_box=0.0, lid_on=False, drawer_open=True)
+        return sample_task(rng, seed, tower("b0", "b1"), layout, PRACTICE)
+
+    return small.in_the_way(rng, draw)
+
+
 def expert(state: State, goal: Atoms) -> tuple[tuple[str, tuple[Object, ...]], ...]:
     """The skill sequence that a person gives: uncover the box, build as in Cornered Insertion-S, then put it away."""
     robot = state.of_type(ROBOT)[0]
@@ -148,6 +160,7 @@ CORNERED_INSERTION_L = Domain(
     stages=(Stage(recovery="Recover", scenario="l0", horizon=80),),
     instruction=small.CORNERED_INSERTION_S.instruction,
     free=free_task,
+    practice=practice_task,
     expert=expert,
     stacking=(ON,),
     relations=RELATIONS,

@@ -91,14 +91,19 @@ COVERED = 0.2
 
 
 def practice_task(rng: np.random.Generator, seed: int) -> Task:
-    """On(b0, b1) with one of them covered, or anywhere between deep in a corner and the middle of the box.
+    """On(b0, b1) with one of them covered, or anywhere between deep in a corner and the middle of the box."""
+    return in_the_way(rng, lambda blocks: dream_task(rng, seed, blocks))
+
+
+def in_the_way(rng: np.random.Generator, draw: Callable[[int], Task]) -> Task:
+    """A task of so many blocks, which `draw` puts on the table, with b0 or b1 covered or moved into the box.
 
     More often the base: Insert fails on it, and mining, which stops at the first failed Pick, never shows that.
     """
     matters = BLOCK("b1" if rng.random() < 0.7 else "b0")
     if rng.random() < COVERED:
-        return cover(dream_task(rng, seed, 3), BLOCK("b2"), matters, rng)
-    task = dream_task(rng, seed, 2)
+        return cover(draw(3), BLOCK("b2"), matters, rng)
+    task = draw(2)
     if rng.random() < 0.35:
         gaps = rng.uniform(0.0005, 0.006), rng.uniform(0.0005, 0.006)
     else:

@@ -105,3 +105,12 @@ def test_where_nothing_obstructs_the_given_model_puts_the_tower_away(seed: int) 
     task = FURNISHED.free(np.random.default_rng(seed), seed, {BLOCK: 2})  # type: ignore[misc]
     _, result = attempt(task)
     assert result.success, result.reason
+
+
+def test_practice_has_one_thing_in_the_way_and_that_is_no_lid_and_no_drawer() -> None:
+    assert FURNISHED.practice is not None
+    for seed in range(40):
+        state = FURNISHED.practice(np.random.default_rng(seed), seed).initial
+        atoms = {a.predicate.name for a in GIVEN.true_atoms(state)}
+        inside = [b for b in state.of_type(BLOCK) if scenes.in_box(state, b)[0] > -0.01]
+        assert {"LidOff", "DrawerOpen"} <= atoms and len(inside) + ("On" in atoms) == 1
