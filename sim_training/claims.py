@@ -15,6 +15,9 @@ STRICTER, STRICTEST = 0.3, 2.0
 class Claims:
     """What counts as a claim, and what came of those that were put to the test.
 
+    Attributes:
+        reliability: share of the claims that would be confirmed if all were right: a skill may fail for nothing.
+
     Args:
         worth_a_try: probability of success from which on a state counts as a claim, before any was refuted.
         confirmed: share of claims that are to hold in the long run.
@@ -25,6 +28,7 @@ class Claims:
         self._worth, self._confirmed, self._believed = worth_a_try, confirmed, believed
         self._lately: deque[bool] = deque(maxlen=LATELY)
         self._demand = 0.0
+        self.reliability = 1.0
 
     @property
     def claimed_from(self) -> float:
@@ -34,12 +38,12 @@ class Claims:
     @property
     def believed(self) -> bool:
         """Whether enough of the latest held."""
-        return len(self._lately) == LATELY and sum(self._lately) >= self._believed * LATELY
+        return len(self._lately) == LATELY and sum(self._lately) >= self._believed * self.reliability * LATELY
 
     def heard(self, held: bool) -> None:
         """A verdict on a claim: what counts as one is raised and lowered so that in the long run the wanted share
         holds."""
-        share = self._confirmed
+        share = self._confirmed * self.reliability
         self._lately.append(held)
         self._demand += -STRICTER * (1 - share) / share if held else STRICTER
         self._demand = float(np.clip(self._demand, 0.0, STRICTEST))

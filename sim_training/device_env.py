@@ -157,6 +157,7 @@ class DeviceEnv:
             if claimed and run is not None:
                 self._claims.heard(run.succeeded)
         learned = self.judges.learn()
+        self._claims.reliability = self.model.reliability
         self._judge()
         return learned
 

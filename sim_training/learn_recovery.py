@@ -151,7 +151,7 @@ def learn_recovery(
     x, y = model.remembered()
     x = np.concatenate([x, *(run.features[None] for run in last)])
     y = np.append(y, [run.succeeded for run in last]).astype(bool)
-    done, accuracy = train_terminal(_tensor(x), torch.as_tensor(y).long(), seed)
+    done, accuracy = train_terminal(_tensor(x), torch.as_tensor(y).long(), seed, reliability=model.reliability)
     # It fails where it was first seen to fail, and would not have failed where a recovery ends.
     begun = evidence.failed
     failed, failed_accuracy = train_terminal(
@@ -174,6 +174,7 @@ def learn_recovery(
         "scenes": s.ppo.scenes,
         "attempts": evidence.attempts,
         "verdicts": verdicts,
+        "reliability": round(model.reliability, 3),
         "terminal_accuracy": round(accuracy, 4),
         "failure_detector_accuracy": round(failed_accuracy, 4),
     }

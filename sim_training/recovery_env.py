@@ -28,11 +28,13 @@ from resync_robot.sim_training.recovery_problem import Problem
 
 @dataclass(frozen=True)
 class Try:
-    """One run of the failed skill: the state that it began in, what the recovery sees of it, and how it ended."""
+    """One run of the failed skill: the state that it began in, what the recovery sees of it, how it ended, and whether
+    nothing obstructed it."""
 
     state: State
     features: Float[np.ndarray, " d"]
     succeeded: bool
+    free: bool = False
 
 
 Tried = list[Try]
@@ -84,6 +86,7 @@ BEYOND = 4
 def teach(model: SuccessModel, runs: Tried) -> None:
     """Fit the model anew to all that it remembers, and these runs."""
     if runs:
+        model.add_free(np.array([run.succeeded for run in runs if run.free], dtype=bool))
         model.add(np.stack([run.features for run in runs]), np.array([run.succeeded for run in runs]))
     # As long as all attempts end alike, every state is worth one.
     if model.has_both:
@@ -173,7 +176,7 @@ class RecoveryEnv:
 
     def follow(self, model: SuccessModel) -> None:
         """Rewards are those of `model` from here on."""
-        self.model = model
+        self.model, self._claims.reliability = model, model.reliability
         self._judge_features(range(self.count))
 
     # -- what the model is fitted to first, and the terminal function in the end ---------------------------------------
@@ -190,10 +193,11 @@ class RecoveryEnv:
             scene = self._episodes.begin_in(start.task, start.state)
             if scene is None:
                 continue
-            snapshot = scene.simulator.save()
-            for _ in range(int(self._rng.integers(STUMBLES)) if i % 2 else 0):
+            snapshot, stumbles = scene.simulator.save(), int(self._rng.integers(STUMBLES)) if i % 2 else 0
+            for _ in range(stumbles):
                 self._episodes.move([scene], self._rng.uniform(-1, 1, (1, self.problem.interface.actions)))
-            if not self._verdict(scene, self._episodes.see([scene])[0]) and start is not failed:
+            undisturbed = start is free and not stumbles
+            if not self._verdict(scene, self._episodes.see([scene])[0], undisturbed) and start is not failed:
                 self._episodes.keep(self._episodes.between, start.task, snapshot)
             self._episodes.end(scene)
 
@@ -268,10 +272,10 @@ class RecoveryEnv:
                     self._claims.heard(bool(success[i]))
         return success
 
-    def _verdict(self, scene: Scene, features: Float[np.ndarray, " d"]) -> bool:
+    def _verdict(self, scene: Scene, features: Float[np.ndarray, " d"], free: bool = False) -> bool:
         succeeded = self._judge(scene.simulator, scene.task.initial)
         self.judged += 1
-        self._tried.append(Try(scene.state, features.copy(), succeeded))
+        self._tried.append(Try(scene.state, features.copy(), succeeded, free))
         return succeeded
 
     def _remember_ways(self, success: Bool[np.ndarray, "n"]) -> None:

@@ -37,7 +37,11 @@ class SuccessModelSettings:
 
 
 class SuccessModel:
-    """P(the skill reaches its effects | the relational features of the state that it begins in).
+    """P(nothing keeps the skill from its effects | the relational features of the state that it begins in).
+
+    Where nothing obstructs, a skill may still miss its effects, or they may not be seen: then a failed attempt says
+    less than one that succeeded. How often that happens is told by attempts where nothing obstructs, and the fit allows
+    for it (forward correction of noisy labels, Patrini et al. 2017).
 
     Args:
         features: length of a feature vector.
@@ -54,6 +58,7 @@ class SuccessModel:
         self._mean, self._scale = torch.zeros(features), torch.ones(features)
         self._optimiser = torch.optim.AdamW(self._nets.parameters(), lr=self.settings.learning_rate)
         self._x, self._y = torch.zeros(0, features), torch.zeros(0)
+        self._free = np.zeros(2)
         self._fitted = False
 
     @property
@@ -69,6 +74,16 @@ class SuccessModel:
     def remembered(self) -> tuple[Float[np.ndarray, "n d"], Bool[np.ndarray, "n"]]:
         """The attempts: what they began with, and whether they succeeded."""
         return self._x.double().numpy(), self._y.numpy() > 0.5
+
+    @property
+    def reliability(self) -> float:
+        """The share of attempts that succeed where nothing obstructs; 1 as long as there was none."""
+        won, tried = self._free
+        return float((won + 1) / (tried + 1))
+
+    def add_free(self, succeeded: Bool[np.ndarray, "n"]) -> None:
+        """Count attempts where nothing obstructs; `add` is told of them as of any other."""
+        self._free = self._free + [np.sum(succeeded), len(succeeded)]
 
     def add(self, features: Float[np.ndarray, "n d"], succeeded: Bool[np.ndarray, "n"]) -> None:
         """Remember attempts: where they began, and whether they succeeded."""
@@ -96,13 +111,14 @@ class SuccessModel:
         self._fitted = True
         places = (torch.nonzero(~yes).flatten(), torch.nonzero(yes).flatten())
         target = self._y * (1 - 2 * s.smoothing) + s.smoothing
+        most = among_balanced(self.reliability, float(yes.float().mean()))
         losses: list[float] = []
         for _ in range(steps):
             halves = [of[torch.randint(len(of), (s.batch // 2,), generator=self._random)] for of in places]
             rows = torch.cat(halves)
             noise = self.settings.blur * torch.randn(len(rows), self._x.shape[1], generator=self._random)
             loss, blurred = (
-                nn.functional.binary_cross_entropy_with_logits(self._logits(name, self._x[rows], by), target[rows])
+                corrected_loss(self._logits(name, self._x[rows], by), target[rows], most)
                 for name, by in (("sharp", 0 * noise), ("blurred", noise))
             )
             self._optimiser.zero_grad()
@@ -138,15 +154,41 @@ class SuccessModel:
 
     def weights(self) -> dict[str, np.ndarray]:
         """What `load` needs: for copies in other processes."""
-        tensors = {"mean": self._mean, "scale": self._scale, **self._nets.state_dict()}
+        free = torch.from_numpy(self._free)
+        tensors = {"mean": self._mean, "scale": self._scale, "free": free, **self._nets.state_dict()}
         return {name: value.numpy().copy() for name, value in tensors.items()}
 
     def load(self, weights: dict[str, np.ndarray]) -> None:
         """Predict as the model whose weights these are."""
         tensors = {name: torch.from_numpy(value) for name, value in weights.items()}
         self._mean, self._scale = tensors.pop("mean"), tensors.pop("scale")
+        self._free = tensors.pop("free").numpy()
         self._nets.load_state_dict(tensors)
         self._fitted = True
+
+
+def among_balanced(reliability: float, share: float) -> float:
+    """Probability that an attempt succeeded which nothing obstructed, where both outcomes weigh the same.
+
+    Args:
+        reliability: that probability among all attempts.
+        share: of these, those that succeeded.
+    """
+    won, lost = reliability * (1 - share), (1 - reliability) * share
+    return won / (won + lost)
+
+
+def corrected_loss(
+    logits: torch.Tensor, target: torch.Tensor, most: float, weights: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Binary cross-entropy of outcomes, where one that nothing obstructs succeeds with probability `most` only.
+
+    Args:
+        logits: log-odds that nothing obstructs.
+    """
+    if most == 1.0:
+        return nn.functional.binary_cross_entropy_with_logits(logits, target, weights)
+    return nn.functional.binary_cross_entropy((most * torch.sigmoid(logits)).clamp(1e-6, 1 - 1e-6), target, weights)
 
 
 def _net(inputs: int, width: int) -> nn.Sequential:

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from resync_robot.core.errors import LibraryError, TrainingError
 from resync_robot.core.library import RETRAIN, Record
+from resync_robot.learning.success_model import corrected_loss
 
 
 class Terminal(nn.Module):
@@ -62,13 +63,14 @@ class Terminal(nn.Module):
 
 
 def train_terminal(
-    features: Tensor, labels: Tensor, seed: int, epochs: int = 30, batch: int = 512
+    features: Tensor, labels: Tensor, seed: int, epochs: int = 30, batch: int = 512, reliability: float = 1.0
 ) -> tuple[Terminal, float]:
     """A terminal function and its balanced accuracy on the fifth of the data that was held out.
 
     Args:
         features: (n, d) canonical views.
         labels: (n,) 1 where the skill is over.
+        reliability: the share of states with the label 1 among those where the skill really is over.
 
     Raises:
         TrainingError: one of the two classes has fewer than ten samples.
@@ -83,8 +85,8 @@ def train_terminal(
     net = Terminal(features.shape[1])
     net.mean.copy_(features[train].mean(0))
     net.scale.copy_(features[train].std(0).clamp(min=1e-3))
-    weight = (labels[train] == 0).sum() / (labels[train] == 1).sum().clamp(min=1)
-    loss_of = nn.BCEWithLogitsLoss(pos_weight=weight.clamp(0.1, 10.0))
+    weight = ((labels[train] == 0).sum() / (labels[train] == 1).sum().clamp(min=1)).clamp(0.1, 10.0)
+    most = float(weight * reliability / (weight * reliability + 1 - reliability))
     optimiser = torch.optim.AdamW(net.parameters(), lr=1e-3)
     best, best_accuracy = copy.deepcopy(net.state_dict()), -1.0
     for _ in range(epochs):
@@ -93,7 +95,8 @@ def train_terminal(
             if len(part) < 2:
                 continue
             optimiser.zero_grad()
-            loss_of(net(features[part]), labels[part].float()).backward()
+            target = labels[part].float()
+            corrected_loss(net(features[part]), target, most, torch.where(target > 0.5, weight, 1.0)).backward()  # type: ignore[no-untyped-call]
             optimiser.step()
         net.eval()
         accuracy = _balanced_accuracy(net.probability(features[held_out]) > 0.5, labels[held_out] > 0.5)

@@ -8,6 +8,7 @@ counts, and as far as the classifier is to be trusted. What does tell that it is
 - A skill failed: one of its learned preconditions may have been false. Each is blamed as far as the others, and bad
   luck, do not explain the failure.
 - A skill succeeded: its preconditions held, most likely.
+- What a skill mostly fails without, though nothing says that it needs it, is told by the skill's outcome as well.
 - A step ran that brings an atom about: the atom is expected from then on, the more if the skill says that it is done.
   Where it looks false again and again, it is the classifier that is wrong.
 
@@ -91,6 +92,7 @@ class AtomBeliefs:
         certain = self.certain()
         came_true = step.add <= certain and not step.delete & certain
         self._blame(before, success, came_true, step)
+        self._tell_circumstances(came_true, step)
         return came_true
 
     def _expect(self, step: GroundOperator, outcome: SkillOutcome, success: float) -> None:
@@ -113,6 +115,14 @@ class AtomBeliefs:
             others = math.prod(p for a, p in before.items() if a != atom)
             well = success * others + lucky * (1 - others)
             ratio = well / lucky if came_true else (1 - well) / (1 - lucky)
+            self._set(atom, self._evidence.get(atom, 0.0) + math.log(ratio))
+
+    def _tell_circumstances(self, came_true: bool, step: GroundOperator) -> None:
+        """Bayes' rule for what the success of the step hangs on by experience, beside its preconditions."""
+        hangs_on = self._costs.with_and_without(step)
+        for atom in self._learned(hangs_on.keys() - step.preconditions - step.add - step.delete - step.swept):
+            if_true, if_false = hangs_on[atom]
+            ratio = if_true / if_false if came_true else (1 - if_true) / (1 - if_false)
             self._set(atom, self._evidence.get(atom, 0.0) + math.log(ratio))
 
     def _set(self, atom: Atom, evidence: float) -> None:

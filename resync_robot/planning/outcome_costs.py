@@ -125,6 +125,15 @@ class OutcomeCosts:
         counts = [tally.held if tally.atom(step) in atoms else tally.otherwise for tally in tallies]
         return min((self._posterior(step, won, tried) for won, tried in counts), default=self._settings.prior)
 
+    def with_and_without(self, step: GroundOperator) -> dict[Atom, tuple[float, float]]:
+        """Each atom about its arguments that the step's success was counted by, with the probabilities of success where
+        it holds and where it does not, whatever else does."""
+        return {
+            tally.atom(step): (self._posterior(step, *tally.held), self._posterior(step, *tally.otherwise))
+            for tally in self._tallies.get(step.name, ())
+            if tally.form is None
+        }
+
     def cost(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
         """Of running the step where `atoms` hold; above 0."""
         return self._settings.step - math.log(self.success(step, atoms))

@@ -14,8 +14,15 @@ from dataclasses import replace
 from resync_robot.core.embodiment import Stage
 from resync_robot.sim_training.domains.blocked_stacking import BLOCKED_STACKING
 
+ALONE, BOTH = ("6", "7"), ("0", "1", "2", "3", "4", "5")
+"""Scenarios with a crate alone, and those with a slab as well or alone."""
 REVERSED = replace(
     BLOCKED_STACKING,
     name="reversed-blocked-stacking",
+    scenarios={
+        name: replace(BLOCKED_STACKING.scenario(name), training=name in ("6", "2"), after_stage=after)
+        for after, names in ((1, ALONE), (2, BOTH))
+        for name in names
+    },
     stages=(Stage(recovery="Wiggle", scenario="6", horizon=10), Stage(recovery="Punch", scenario="2", horizon=10)),
 )

@@ -96,6 +96,28 @@ def test_what_is_restored_is_believed_again() -> None:
     assert b.probability(CLEAN(A)) == pytest.approx(0.95)
 
 
+def test_an_outcome_tells_of_what_the_skill_mostly_fails_without_though_it_needs_nothing() -> None:
+    """Wipe has no precondition about how open a cup is, but a closed one is hard to wipe."""
+    told = OutcomeCosts({"Wipe": [Tally(OPEN, (0,), (90, 100), (5, 50))]})
+    learned = {"Clean": 0.05, "Open": 0.1}
+    b, without = beliefs(learned, told, clean=0.0), beliefs(learned, clean=0.0)
+    for each in (b, without):
+        each.attempted(WIPE_A, BLOCKED, looks(clean=0.0))
+    assert OPEN(A) not in b.certain() and b.probability(OPEN(A)) < without.probability(OPEN(A)) == pytest.approx(0.9)
+    once = b.probability(OPEN(A))
+    b.attempted(WIPE_A, BLOCKED, looks(clean=0.0))
+    assert b.probability(OPEN(A)) < once, "failures add up"
+    b.attempted(WIPE_A, DONE, looks())
+    assert b.probability(OPEN(A)) > once, "and a success takes them back"
+
+
+def test_where_a_circumstance_makes_no_difference_outcomes_say_nothing_of_it() -> None:
+    same = OutcomeCosts({"Wipe": [Tally(OPEN, (0,), (90, 100), (90, 100))]})
+    b = beliefs({"Clean": 0.05, "Open": 0.1}, same, clean=0.0)
+    b.attempted(WIPE_A, BLOCKED, looks(clean=0.0))
+    assert b.probability(OPEN(A)) == pytest.approx(0.9)
+
+
 @pytest.mark.parametrize("ending", [SkillEnd.REFUSED, SkillEnd.NEEDLESS])
 def test_a_skill_that_refused_to_begin_restored_nothing(ending: SkillEnd) -> None:
     b = beliefs(clean=0.0)
