@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from resync_robot.core import spatial
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
+from resync_robot.core.ramps import ramped
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.world import ArmObservation
@@ -20,6 +21,8 @@ Step = Generator[JointTarget, ArmObservation, None]
 
 YAW_SPEED = 1.2
 """rad/s of the hand about the vertical."""
+RAMP_S = 0.3
+"""s from rest to a motion's speed, and back: 1.3 m/s^2 at most where the hand travels."""
 LAG_S = 0.12
 """s that an arm may be behind its targets: smoothing to its jerk limit, and the controller's own look-ahead."""
 GIVE_IN_STEP = 0.012
@@ -113,12 +116,9 @@ class Hand:
         """
         begin, goal = self.position.copy(), np.array([x, y, z], dtype=np.float64)
         yaw_begin, turn = self.yaw, self._turn(yaw)
-        # A cosine profile's mean speed is its peak over pi/2.
-        seconds = max(float(np.linalg.norm(goal - begin)) / speed, abs(turn) / YAW_SPEED) * np.pi / 2
-        steps = max(1, int(np.ceil(seconds / self.period)))
+        cruise = max(float(np.linalg.norm(goal - begin)) / speed, abs(turn) / YAW_SPEED)
         at_rest = self.last.tip_force
-        for i in range(1, steps + 1):
-            s = (1 - np.cos(np.pi * i / steps)) / 2
+        for s in ramped(cruise, RAMP_S, self.period):
             before = self.position
             self.position, self.yaw = begin + s * (goal - begin), yaw_begin + s * turn
             behind = LAG_S * float(np.linalg.norm(self.position - before)) / self.period
