@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,9 +26,15 @@ from resync_robot.perception.known import (
     put_under,
     underside,
 )
-from resync_robot.perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError, name_blocks
+from resync_robot.perception.naming import (
+    SAME_PLACE,
+    AmbiguousObjectsError,
+    MissingObjectsError,
+    UnsettledSceneError,
+    name_blocks,
+)
 from resync_robot.perception.objects import SceneEstimate, SceneEstimator, hues_of
-from resync_robot.perception.pose import inside_box
+from resync_robot.perception.pose import BoxEstimate, inside_box
 
 
 @dataclass(frozen=True)
@@ -95,21 +101,37 @@ class Belief:
         return self._grasp.is_certain
 
     def update_from_scan(
-        self, frames: Sequence[CameraFrame], robot_features: Float[np.ndarray, "8"], again: bool = False
+        self,
+        frames: Sequence[CameraFrame],
+        robot_features: Float[np.ndarray, "8"],
+        again: bool = False,
+        changed: Collection[Object] | None = None,
     ) -> State:
         """Take in the pictures of a scan, taken with the hand as it is now.
 
         Args:
             again: these are all the pictures of the last scan and more, and take that one's place.
+            changed: of all objects that are known, those that may stand elsewhere than they did; the pictures show
+                where these are, and need not show the others. By default any may.
 
         Raises:
             UnsettledSceneError: a block was not found and is not plausibly hidden, or was seen more than once; it keeps
                 its old estimate, with a wider covariance, and the next `state` works if there is one.
             PerceptionError: pictures that cannot be used, or no box; nothing is changed.
         """
-        return self.update(self._estimator.estimate(frames), robot_features, again)
+        box = None
+        if changed is not None:
+            known = self._known[self._box]
+            box = BoxEstimate(known.features, known.covariance)
+        return self.update(self._estimator.estimate(frames, box), robot_features, again, changed)
 
-    def update(self, scene: SceneEstimate, robot_features: Float[np.ndarray, "8"], again: bool = False) -> State:
+    def update(
+        self,
+        scene: SceneEstimate,
+        robot_features: Float[np.ndarray, "8"],
+        again: bool = False,
+        changed: Collection[Object] | None = None,
+    ) -> State:
         """Take in an estimate of the scene. Raises UnsettledSceneError as `update_from_scan` does."""
         if again:
             known, grasp = self._before_scan
@@ -122,9 +144,11 @@ class Belief:
         scene, ambiguous = name_blocks(
             scene, self._estimator.catalogue.look_alikes, [b.name for b in self._blocks], held, places
         )
-        box_sizes, scans = averaged_sizes(self._known.get(self._box), scene.box.features[7:])
-        self._known[self._box] = Known(np.array([*scene.box.features[:7], *box_sizes]), scene.box.covariance, scans)
-        seen = [b for b in self._blocks if b.name in scene.blocks]
+        if changed is None:
+            box_sizes, scans = averaged_sizes(self._known.get(self._box), scene.box.features[7:])
+            self._known[self._box] = Known(np.array([*scene.box.features[:7], *box_sizes]), scene.box.covariance, scans)
+        unchanged = self._as_before(scene, changed)
+        seen = [b for b in self._blocks if b.name in scene.blocks and b not in unchanged]
         if self.held in seen:
             self._grasp.correct(self._known, seen, robot_features)
         for block in seen:
@@ -133,14 +157,15 @@ class Belief:
         for obj in fitted:
             self._known[obj] = Known(scene.fittings[obj.name].features, scene.fittings[obj.name].covariance)
         ambiguous |= {o.name: scene.seen_twice[o.name] for o in self._fittings if o.name in scene.seen_twice}
-        unseen = [b for b in self._blocks if b not in seen and b != self.held and b.name not in ambiguous]
+        settled = {*seen, *unchanged, *([self.held] if self.held else [])}
+        unseen = [b for b in self._blocks if b not in settled and b.name not in ambiguous]
         # From above down, as last believed: what hides under one block may hide another in its turn.
         unseen.sort(key=lambda b: -self._known[b].features[2] if b in self._known else 0.0)
         hidden: list[Object] = []
         for block in unseen:
-            if self._hide(block, [*seen, *hidden], scene):
+            if self._hide(block, [*seen, *unchanged, *hidden], scene):
                 hidden.append(block)
-        lost = [o for o in self._fittings if o not in fitted and o.name not in ambiguous]
+        lost = [o for o in self._fittings if o not in (*fitted, *unchanged) and o.name not in ambiguous]
         missing = tuple(o.name for o in (*unseen, *lost) if o not in hidden)
         self.report = ScanReport(
             seen=tuple(o.name for o in (*seen, *fitted)),
@@ -163,6 +188,20 @@ class Belief:
         if unsettled:
             raise unsettled[0] if len(unsettled) == 1 else UnsettledSceneError.of(unsettled)
         return self.state(robot_features)
+
+    def _as_before(self, scene: SceneEstimate, changed: Collection[Object] | None) -> list[Object]:
+        """What is known and has not changed, as far as the pictures tell: what they show elsewhere has."""
+        if changed is None:
+            return []
+        seen = {name: estimate.features[:2] for name, estimate in scene.blocks.items()}
+        seen |= {name: estimate.features[:2] for name, estimate in scene.fittings.items()}
+        unchanged = [o for o in (*self._blocks, *self._fittings) if o in self._known and o not in changed]
+        return [
+            o
+            for o in unchanged
+            if o != self.held
+            and (o.name not in seen or np.hypot(*(seen[o.name] - self._known[o].features[:2])) < SAME_PLACE)
+        ]
 
     def unclear_places(self, most_sigma: float = 0.0012) -> list[Float[np.ndarray, "2"]]:
         """Where another look may help: what the last scan saw badly, in part or more than once, or did not find.

@@ -14,10 +14,10 @@ from resync_robot.core.world import CameraFrame
 from resync_robot.perception.blocks import BlockEstimate, Glimpse, estimate_blocks
 from resync_robot.perception.catalogue import Catalogue
 from resync_robot.perception.fittings import FittingEstimate, estimate_fittings
-from resync_robot.perception.pose import BoxEstimate, box_outline, estimate_box
+from resync_robot.perception.pose import BoxEstimate, box_outline, estimate_box, outer_corners
 from resync_robot.perception.register import align_to_box
 from resync_robot.perception.segment import ColourSegmenter, Segmenter
-from resync_robot.perception.views import level, make_view
+from resync_robot.perception.views import View, level, make_view
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,10 @@ def hues_of(rig: Rig) -> str:
     return f"[hues] of {rig.where}" if rig.hues else ""
 
 
+BOX_MOVED = 0.005
+"""m by which a picture may lie beside a box that is known; the calibrated pose of a camera is never so wrong."""
+
+
 class SceneEstimator:
     """Estimates box, blocks, lids and drawers from a scan.
 
@@ -71,22 +75,29 @@ class SceneEstimator:
         self.catalogue = catalogue or catalogue_of(rig)
         self.segmenter = segmenter or ColourSegmenter(self.catalogue)
 
-    def estimate(self, frames: Sequence[CameraFrame]) -> SceneEstimate:
+    def estimate(self, frames: Sequence[CameraFrame], box: BoxEstimate | None = None) -> SceneEstimate:
         """Fuse the pictures of one scan.
 
+        Args:
+            box: known from an earlier scan; these pictures, which need not show all of it, then are taken to be of
+                that one.
+
         Raises:
-            PerceptionError: no pictures, one that cannot be used, or no box.
+            PerceptionError: no pictures, one that cannot be used, no box, or one that is not where it is known.
         """
         if not frames:
             raise PerceptionError("a scan without pictures", "check that the wrist camera delivers frames")
         views = [make_view(f, self.segmenter, self.catalogue, self.rig) for f in frames]
-        outline = box_outline(views, self.catalogue)
+        outline = box_outline(views, self.catalogue) if box is None else outer_corners(box.features)
         views = [level(v, self.catalogue, outline) for v in views]
-        box = estimate_box(views, self.catalogue)
-        views = [
+        known, box = box is not None, estimate_box(views, self.catalogue) if box is None else box
+        aligned = [
             align_to_box(v, box.features, self.catalogue, self.rig.camera(f.name))
             for v, f in zip(views, frames, strict=True)
         ]
+        if known:
+            _check_place(views, aligned)
+        views = aligned
         blocks = estimate_blocks(views, self.catalogue, box)
         fittings = estimate_fittings(views, self.catalogue)
         return SceneEstimate(
@@ -99,3 +110,12 @@ class SceneEstimator:
             fittings.seen_twice,
             fittings.seen_in_part,
         )
+
+
+def _check_place(views: Sequence[View], aligned: Sequence[View]) -> None:
+    """Raises PerceptionError where a view had to be moved far to agree with the known box."""
+    moved = max(
+        float(np.linalg.norm(a.world_T_cam[:3, 3] - v.world_T_cam[:3, 3])) for v, a in zip(views, aligned, strict=True)
+    )
+    if moved > BOX_MOVED:
+        raise PerceptionError(f"the box is {1000 * moved:.0f} mm from where it was", "look at all of it again")

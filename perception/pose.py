@@ -123,6 +123,14 @@ def estimate_box(views: Sequence[View], catalogue: Catalogue) -> BoxEstimate:
     return BoxEstimate(features, covariance)
 
 
+def outer_corners(box: Float[np.ndarray, "11"]) -> Float[np.ndarray, "4 2"]:
+    """The corners of the outer edge of a box with these features, seen from above, in order, m."""
+    half = box[7:9] / 2 + box[10]
+    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    c, s = np.cos(yaw := float(spatial.yaw_of(box[3:7]))), np.sin(yaw)
+    return np.asarray(box[:2] + corners @ np.array([[c, s], [-s, c]]))
+
+
 def inside_box(xy: Float[np.ndarray, "2"], box: Float[np.ndarray, "11"]) -> bool:
     """Is a point of the table within the walls of a box with these features?"""
     yaw = float(spatial.yaw_of(box[3:7]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from jaxtyping import Float
@@ -42,8 +43,8 @@ BOX_AND_SIDES = (
     Viewpoint((0.46, -0.36), 0.30, -np.pi / 2),
     Viewpoint((0.46, -0.14), 0.33, -np.pi / 2),
     Viewpoint((0.60, 0.00), 0.35, 0.0),
-    Viewpoint((0.46, 0.14), 0.33, np.pi / 2),
     Viewpoint((0.46, 0.36), 0.30, np.pi / 2),
+    Viewpoint((0.46, 0.14), 0.33, np.pi / 2),
     Viewpoint((0.34, 0.00), 0.35, np.pi),
 )
 """The box from all four sides (each camera stands inside the walls' outline, or they would hide a corner), the table
@@ -64,10 +65,10 @@ class Scan:
 
     def __init__(self, rig: Rig, viewpoints: Sequence[Viewpoint] = BOX_AND_SIDES, camera: str = "wrist") -> None:
         self._rig = rig
-        self._camera = rig.camera(camera)
-        if self._camera.mount != "flange":
+        self.camera = rig.camera(camera)
+        if self.camera.mount != "flange":
             raise PerceptionError(
-                f"camera '{camera}' is mounted on the {self._camera.mount}; a scan moves one on the flange",
+                f"camera '{camera}' is mounted on the {self.camera.mount}; a scan moves one on the flange",
                 "name the wrist camera, or set its mount in the rig file",
             )
         low = [v for v in viewpoints if v.tip_height < LEAST_TIP_HEIGHT]
@@ -76,7 +77,8 @@ class Scan:
                 f"a viewpoint holds the tips {low[0].tip_height:.3f} m above the table, at least "
                 f"{LEAST_TIP_HEIGHT} m is allowed"
             )
-        self._viewpoints = tuple(viewpoints)
+        self.middle: Float[np.ndarray, "2"] = np.mean([v.camera_xy for v in viewpoints], axis=0)
+        """Of the round, seen from above: where the box stands, m."""
         self.configurations = self._plan(viewpoints)
 
     def __call__(
@@ -105,25 +107,22 @@ class Scan:
         `count`, or none, where the arm does not reach.
         """
         place = np.asarray(place, dtype=np.float64)
-        middle = np.mean([v.camera_xy for v in self._viewpoints], axis=0)
-        first = float(np.arctan2(*(middle - place)[::-1]))
-        found: list[np.ndarray] = []
-        for turn in (0.0, np.pi / 2, -np.pi / 2, np.pi / 4, -np.pi / 4):
-            yaw = first + turn
-            ahead = self._ahead(CLOSE_TIP_HEIGHT)
-            place_of_camera = place + ahead * np.array([np.cos(yaw), np.sin(yaw)])
-            view = Viewpoint((float(place_of_camera[0]), float(place_of_camera[1])), CLOSE_TIP_HEIGHT, yaw)
-            try:
-                found += self._plan([view])
-            except MotionError:
-                continue
-            if len(found) == count:
-                break
-        return found
+        first = float(np.arctan2(*(self.middle - place)[::-1]))
+        found = (self.close_by(place, first + turn) for turn in (0.0, np.pi / 2, -np.pi / 2, np.pi / 4, -np.pi / 4))
+        return list(islice((q for q in found if q is not None), count))
+
+    def close_by(self, place: Float[np.ndarray, "2"], yaw: float) -> Float[np.ndarray, "6"] | None:
+        """The configuration that puts a place of the table into the middle of the picture, from the side at `yaw` rad
+        about the world's z; None where the arm does not reach."""
+        x, y = place + self._ahead(CLOSE_TIP_HEIGHT) * np.array([np.cos(yaw), np.sin(yaw)])
+        try:
+            return self._plan([Viewpoint((float(x), float(y)), CLOSE_TIP_HEIGHT, yaw)])[0]
+        except MotionError:
+            return None
 
     def _ahead(self, tip_height: float) -> float:
         """How far in front of the camera, seen from above, its optical axis meets the table, m."""
-        flange_T_cam = self._camera.pose
+        flange_T_cam = self.camera.pose
         down, forth = flange_T_cam[2, 2], -flange_T_cam[0, 2]
         height = tip_height + self._rig.gripper.tip_offset - flange_T_cam[2, 3]
         return float(height * forth / down)
@@ -131,7 +130,7 @@ class Scan:
     def tip_pose(self, viewpoint: Viewpoint) -> Float[np.ndarray, "4 4"]:
         """world_T_tip that puts the camera at a viewpoint."""
         rotation = spatial.rotation_about("z", viewpoint.yaw) @ spatial.rotation_about("x", np.pi)
-        offset = rotation @ self._camera.pose[:3, 3]
+        offset = rotation @ self.camera.pose[:3, 3]
         position = np.array([*viewpoint.camera_xy, viewpoint.tip_height])
         position[:2] -= offset[:2]
         return spatial.transform(rotation, position)

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from resync_robot.core import spatial
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import JointTarget
+from resync_robot.core.ramps import ramped
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.world import ArmObservation
@@ -20,6 +21,8 @@ Step = Generator[JointTarget, ArmObservation, None]
 
 YAW_SPEED = 1.2
 """rad/s of the hand about the vertical."""
+RAMP_S = 0.3
+"""s from rest to a motion's speed, and back: 1.3 m/s^2 at most where the hand travels."""
 LAG_S = 0.12
 """s that an arm may be behind its targets: smoothing to its jerk limit, and the controller's own look-ahead."""
 GIVE_IN_STEP = 0.012
@@ -105,22 +108,34 @@ class Hand:
             reached &= np.all((tips > controller.workspace_low) & (tips < controller.workspace_high), axis=1)
         return np.asarray(reached)
 
-    def move(self, x: float, y: float, z: float, yaw: float, speed: float, max_force: float = np.inf) -> Step:
+    def move(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        yaw: float,
+        speed: float,
+        max_force: float = np.inf,
+        opening: float | None = None,
+    ) -> Step:
         """Straight to a tip pose with smooth ends; returns when the tip has arrived.
+
+        Args:
+            max_force: N.
+            opening: m between the pads at its end, which open or close on the way.
 
         Raises:
             Blocked: the tip strayed, or more than `max_force` N pushed against it (beyond what it felt at the start).
         """
         begin, goal = self.position.copy(), np.array([x, y, z], dtype=np.float64)
         yaw_begin, turn = self.yaw, self._turn(yaw)
-        # A cosine profile's mean speed is its peak over pi/2.
-        seconds = max(float(np.linalg.norm(goal - begin)) / speed, abs(turn) / YAW_SPEED) * np.pi / 2
-        steps = max(1, int(np.ceil(seconds / self.period)))
+        wide, widen = self.opening, 0.0 if opening is None else self._within(opening) - self.opening
+        cruise = max(float(np.linalg.norm(goal - begin)) / speed, abs(turn) / YAW_SPEED, abs(widen) / FINGER_SPEED)
         at_rest = self.last.tip_force
-        for i in range(1, steps + 1):
-            s = (1 - np.cos(np.pi * i / steps)) / 2
+        for s in ramped(cruise, RAMP_S, self.period):
             before = self.position
             self.position, self.yaw = begin + s * (goal - begin), yaw_begin + s * turn
+            self.opening = self._within(wide + s * widen)
             behind = LAG_S * float(np.linalg.norm(self.position - before)) / self.period
             self.last = yield self.target()
             self._guard(at_rest, max_force, behind)
@@ -163,7 +178,7 @@ class Hand:
 
     def open(self, opening: float) -> Step:
         """Open or close to `opening` m at the gripper's speed."""
-        opening = float(np.clip(opening, 0.0, self.rig.gripper.max_opening))
+        opening = self._within(opening)
         steps = max(1, int(np.ceil(abs(opening - self.opening) / FINGER_SPEED / self.period)))
         begin = self.opening
         for i in range(1, steps + 1):
@@ -171,6 +186,9 @@ class Hand:
             self.last = yield self.target()
         for _ in range(int(0.15 / self.period)):
             self.last = yield self.target()
+
+    def _within(self, opening: float) -> float:
+        return float(np.clip(opening, 0.0, self.rig.gripper.max_opening))
 
     def close(self, opening: float) -> Step:
         """Close on something: as `open`, then wait until the pads stand still."""

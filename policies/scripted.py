@@ -110,11 +110,10 @@ def pick_up(hand: Hand, state: State, block: Object, tip_z: float, s: ScriptedSe
 
 
 def reach_down(hand: Hand, tip: np.ndarray, yaw: float, opening: float, above: float, s: ScriptedSettings) -> Step:
-    """Bring the tip to (3,) `tip` from over it, with the pads `opening` m apart. Raises Blocked."""
+    """Bring the tip to (3,) `tip` from over it, with the pads `opening` m apart once they are there. Raises Blocked."""
     x, y, z = tip
     yield from hand.retreat(above, s.approach_speed)
-    yield from hand.open(opening)
-    yield from hand.move(x, y, above, yaw, s.travel_speed)
+    yield from hand.move(x, y, above, yaw, s.travel_speed, opening=opening)
     yield from hand.move(x, y, z, yaw, s.descent_speed, max_force=s.touch_force)
 
 

@@ -21,6 +21,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Object
 from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID, ROBOT
 from resync_robot.core.world import ArmObservation, CameraFrame, Cutout, Ready, Window, awaited
+from resync_robot.deployment.hand_trace import HandTrace
 from resync_robot.deployment.uncertain_atoms import SampledAbstraction, objects_in
 from resync_robot.hardware.base import Camera, Motions, ProtectiveStopError, Robot, RobotState, WindowedCamera
 from resync_robot.hardware.clearance import Obstacle
@@ -29,6 +30,7 @@ from resync_robot.hardware.stream import Stream
 from resync_robot.perception.belief import Belief
 from resync_robot.perception.crop import cut_out
 from resync_robot.perception.naming import UnsettledSceneError
+from resync_robot.perception.next_views import next_views
 from resync_robot.perception.objects import SceneEstimator
 from resync_robot.perception.scan import Scan
 from resync_robot.perception.segment import Segmenter
@@ -120,6 +122,7 @@ class DeployedWorld:
         fittings = [o for o in objects if o.type in (LID, DRAWER)]
         self.belief = Belief(self._robot_object, self._box, blocks, rig, estimator, fittings)
         self._held: Object | None = None
+        self._trace, self._fittings = HandTrace(), fittings
         self.scans = 0
         self.missing: tuple[str, ...] = ()
         self._base_T_world = spatial.inverse(rig.arm.world_T_base)
@@ -197,6 +200,7 @@ class DeployedWorld:
 
     def act(self, target: JointTarget, duration: float) -> None:
         looked, self._looked = self._looked, []
+        self._trace.follow(self.rig.tip_pose(target.arm)[:3, 3])
         try:
             self.stream.run(target, duration)
         except ProtectiveStopError as error:
@@ -243,21 +247,23 @@ class DeployedWorld:
             return self._look_around()
 
     def _look_around(self) -> State:
-        """A round of pictures, then more of what is in doubt; all of them together make the estimate."""
+        """A round of pictures, or a few of what the hand may have moved, then more of what is in doubt; all of them
+        together make the estimate."""
         self._lift()
-        frames = self.scan(self._travel, self._capture)
-        looks = 1
-        state, error = self._take_in(frames)
+        looks, (changed, views) = 1, self._what_changed()
+        frames = self.scan(self._travel, self._capture, views)
+        state, error, changed = self._take_in(frames, False, changed)
         while looks <= MORE_LOOKS and (again := self._where_to_look(state, error)):
             frames += self.scan(self._travel, self._capture, again)
             looks += 1
-            state, error = self._take_in(frames, again=True)
+            state, error, changed = self._take_in(frames, True, changed)
         self.scans += 1
         if error is not None and self.scans == 1:
             raise error
         # What was seen before and is out of sight now keeps its old place; the plan may still go on.
         self.missing = error.names if error else ()
         self._held = self.belief.held
+        self._trace.clear()
         self.stream.keep_out(walled(state, self._box))
         if self._witness:
             self._witness.on_scan(frames, state)
@@ -269,12 +275,38 @@ class DeployedWorld:
                 self._witness.on_doubt(doubtful, looks)
         return state
 
-    def _take_in(self, frames: Sequence[CameraFrame], again: bool = False) -> tuple[State, UnsettledSceneError | None]:
+    def _what_changed(self) -> tuple[Sequence[Object] | None, list[np.ndarray] | None]:
+        """The blocks that may stand elsewhere than at the last scan, and configurations that show where they do now;
+        None and None where everything is to be looked at."""
+        if not self.scans or self.missing or self._fittings or (last := self._trace.last) is None:
+            return None, None
+        state = self.belief.state(self._features())
+        changed = self._trace.touched(state)
+        places = [last, *(state.get(b, "x", "y") for b in changed if b != self.belief.held)]
+        different = [p for i, p in enumerate(places) if all(np.linalg.norm(p - q) > SAME_SIGHT for q in places[:i])]
+        begin, holding = self.stream.target.arm, self.belief.held is not None
+        views = next_views(self.scan, self.rig, different, state[self._box], begin, holding)
+        return (changed, views) if 0 < len(views) < len(self.scan.configurations) else (None, None)
+
+    def _take_in(
+        self, frames: list[CameraFrame], again: bool, changed: Sequence[Object] | None
+    ) -> tuple[State, UnsettledSceneError | None, Sequence[Object] | None]:
+        """The estimate from `frames`, what they leave open, and what of the scene they are about. Where those of a part
+        of it leave anything open, a whole round is added to them."""
+        if changed is not None:
+            try:
+                return self.belief.update_from_scan(frames, self._features(), again, changed), None, changed
+            except UnsettledSceneError:
+                # These pictures have been taken in.
+                again = True
+            except PerceptionError:
+                pass
+            frames += self.scan(self._travel, self._capture)
         features = self._features()
         try:
-            return self.belief.update_from_scan(frames, features, again), None
+            return self.belief.update_from_scan(frames, features, again), None, None
         except UnsettledSceneError as error:
-            return self.belief.state(features), error
+            return self.belief.state(features), error, None
 
     def _where_to_look(self, state: State, error: UnsettledSceneError | None) -> list[np.ndarray]:
         """Configurations for another look: at what atoms in doubt speak of, what is seen badly, or what is missing."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ import pytest
 from resync_robot.core import spatial
 from resync_robot.core.episode import Answer, Ask, Timing
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
+from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Object, Predicate
@@ -300,3 +301,53 @@ def test_what_a_plan_may_hang_on_is_looked_at_first(monkeypatch: pytest.MonkeyPa
     never = world._where_to_look(state, MissingObjectsError(("b1",), ("b0",)))
     assert len(never) == len(looks) + ROUND
     assert len(world._where_to_look(state, MissingObjectsError(("b0",), ()))) == len(looks)
+
+
+def stir(seen: Looking, monkeypatch: pytest.MonkeyPatch, x: float, y: float) -> None:
+    """A skill sends the hand down to a place of the table."""
+    tip = spatial.transform(spatial.rotation_about("x", np.pi), np.array([x, y, 0.05]))
+    flange = spatial.inverse(RIG.arm.world_T_base) @ tip @ spatial.inverse(RIG.gripper.flange_T_tip)
+    q = RIG.arm.kinematics.inverse_branch(flange, RIG.arm.kinematics.branch_of(RIG.arm.home))
+    with monkeypatch.context() as m:
+        m.setattr(seen.world.stream, "run", _silent)
+        seen.world.act(JointTarget(q, 0.0), 0.02)
+
+
+def test_after_a_skill_only_what_the_hand_may_have_moved_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = looking(monkeypatch)
+    before = seen.world.perceive()
+    stir(seen, monkeypatch, 0.46, 0.02)
+    seen.eye.table, seen.eye.asked = Table(RIG, Catalogue()), []
+    seen.eye.table.block("b0", 0.48, 0.02, FLOOR, 0.2, 0.060, 0.045)
+    after = seen.world.perceive()
+    assert len(seen.eye.asked) == 2
+    assert after.get(scenes.B0, "x", "y") == pytest.approx([0.48, 0.02], abs=0.002)
+    assert np.array_equal(after[scenes.THE_BOX], before[scenes.THE_BOX])
+    # What the hand has been near is seen; from there on it counts anew.
+    stir(seen, monkeypatch, 0.46, 0.35)
+    seen.eye.asked = []
+    assert seen.world.perceive()[scenes.B0] == pytest.approx(after[scenes.B0])
+
+
+@pytest.mark.slow
+def test_what_is_not_where_the_hand_may_have_left_it_is_looked_for_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = looking(monkeypatch)
+    seen.world.perceive()
+    stir(seen, monkeypatch, 0.46, 0.02)
+    seen.eye.table, seen.eye.asked = Table(RIG, Catalogue()), []
+    seen.world.perceive()
+    assert len(seen.eye.asked) == 2 + ROUND + 2 * MORE_LOOKS
+    assert seen.world.missing == ("b0",)
+
+
+def test_a_box_that_was_pushed_is_looked_at_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = looking(monkeypatch)
+    before = seen.world.perceive()
+    stir(seen, monkeypatch, 0.46, 0.02)
+    known = seen.world.belief._known
+    moved = known[scenes.THE_BOX].features + np.array([0.02, *[0.0] * 10])
+    known[scenes.THE_BOX] = replace(known[scenes.THE_BOX], features=moved)
+    seen.eye.asked = []
+    after = seen.world.perceive()
+    assert len(seen.eye.asked) == 2 + ROUND
+    assert after.get(scenes.THE_BOX, "x") == pytest.approx(before.get(scenes.THE_BOX, "x"), abs=0.002)

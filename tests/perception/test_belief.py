@@ -235,3 +235,30 @@ def test_a_cover_that_lies_on_the_stud_is_not_believed_to_be_seated(belief: Beli
     state = belief.update(scene(cover, glimpses=(glimpse,)), robot())
     above, beneath = state.get(B1, "z")[0], state.get(B0, "z")[0]
     assert above - beneath == pytest.approx(HEIGHT + unseated, abs=0.001)
+
+
+def test_what_cannot_have_changed_is_as_it_was_and_needs_not_be_seen(belief: Belief) -> None:
+    before = belief.update(scene(block("b0", 0.45, 0.05), block("b1", 0.45, 0.30, 0.0)), robot())
+    after = belief.update(scene(block("b0", 0.50, 0.0)), robot(), changed=[B0])
+    assert after.get(B0, "x", "y") == pytest.approx([0.50, 0.0])
+    assert np.array_equal(after[B1], before[B1]) and np.array_equal(after.covariance(B1), before.covariance(B1))
+    # What the better look knew is not given away for two pictures from afar.
+    again = belief.update(scene(block("b0", 0.50, 0.0), block("b1", 0.453, 0.30, 0.0)), robot(), changed=[B0])
+    assert np.array_equal(again[B1], before[B1])
+    with pytest.raises(MissingObjectsError, match="did not find b0"):
+        belief.update(scene(block("b1", 0.45, 0.30, 0.0)), robot(), changed=[B0])
+
+
+def test_what_is_seen_elsewhere_has_changed_whatever_was_thought(belief: Belief) -> None:
+    belief.update(scene(block("b0", 0.45, 0.05), block("b1", 0.45, 0.30, 0.0)), robot())
+    after = belief.update(scene(block("b0", 0.45, 0.05), block("b1", 0.50, 0.25, 0.0)), robot(), changed=[B0])
+    assert after.get(B1, "x", "y") == pytest.approx([0.50, 0.25])
+
+
+def test_a_block_that_was_left_alone_may_hide_another(belief: Belief) -> None:
+    tower = scene(
+        block("b1", 0.52, 0.0, FLOOR + HEIGHT, stacked=True), glimpses=(Glimpse("b0", np.array([0.52, 0.0])),)
+    )
+    belief.update(tower, robot())
+    belief.update(tower, robot(), changed=[B0])
+    assert belief.report.hidden == ("b0",) and not belief.report.missing

@@ -238,3 +238,20 @@ def test_spoilt_pictures_crash_nothing(rig: Rig, catalogue: Catalogue, pictures:
         except PerceptionError:
             refused += 1
     assert 0 < refused < pictures
+
+
+def test_two_pictures_of_one_place_do_where_the_box_is_known(
+    rig: Rig, scene: SceneEstimate, frames: list[CameraFrame], catalogue: Catalogue
+) -> None:
+    table = Table(rig, catalogue)
+    for name, place in BLOCKS.items():
+        table.block(name, *place)
+    x, y, bottom, *_, height = BLOCKS["b1"]
+    views = Scan(rig).towards(np.array([x, y]))
+    seen = SceneEstimator(rig).estimate(table.scan(views), scene.box)
+    assert seen.box is scene.box
+    assert seen.blocks["b1"].features[:3] == pytest.approx([x, y, bottom + height / 2], abs=0.0012)
+    # As long as it stands where it did.
+    beside = replace(scene.box, features=scene.box.features + np.array([0.012, *[0.0] * 10]))
+    with pytest.raises(PerceptionError, match=r"the box is \d+ mm from where it was"):
+        SceneEstimator(rig).estimate(table.scan(views), beside)

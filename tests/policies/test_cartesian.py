@@ -129,6 +129,16 @@ def test_the_fingers_open_at_their_speed_and_within_their_range() -> None:
     assert world.opening == RIG.gripper.max_opening
 
 
+def test_the_fingers_open_on_the_way_at_their_speed() -> None:
+    world = Follower(SCENE, opening=0.0)
+    hand = hand_of(world)
+    targets = follow(world, hand, hand.move(*(hand.position + [0.02, 0, 0]), hand.yaw, 0.25, opening=0.08))
+    widths = np.array([0.0] + [t.opening for t in targets])
+    assert widths[-1] == 0.08 and np.abs(np.diff(widths)).max() <= 0.12 * PERIOD + 1e-9
+    follow(world, hand, hand.move(*hand.position, hand.yaw, 0.25, opening=9.0))
+    assert world.opening == RIG.gripper.max_opening
+
+
 @settings(max_examples=100)
 @given(begin=st.floats(0.0, 0.14), end=st.sampled_from([0.0, 0.14]))
 def test_fingers_end_exactly_where_they_were_sent(begin: float, end: float) -> None:
