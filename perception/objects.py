@@ -12,9 +12,10 @@ from resync_robot.core.errors import ConfigError, PerceptionError
 from resync_robot.core.rig import Rig
 from resync_robot.core.world import CameraFrame
 from resync_robot.perception.blocks import BlockEstimate, Glimpse, estimate_blocks
-from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.catalogue import BLOCK_HUES, FITTING_HUES, Catalogue
 from resync_robot.perception.fittings import FittingEstimate, estimate_fittings
-from resync_robot.perception.pose import BoxEstimate, box_outline, estimate_box
+from resync_robot.perception.ground import Ground
+from resync_robot.perception.pose import BoxEstimate, box_outline, box_under, estimate_box
 from resync_robot.perception.register import align_to_box
 from resync_robot.perception.segment import ColourSegmenter, Segmenter
 from resync_robot.perception.views import level, make_view
@@ -37,10 +38,11 @@ class SceneEstimate:
     seen_in_part: Mapping[str, Float[np.ndarray, "n 2"]] = field(default_factory=dict)
 
 
-def catalogue_of(rig: Rig) -> Catalogue:
-    """The catalogue with the colours of the rig file, where it has any. Raises ConfigError where they cannot be."""
+def catalogue_of(rig: Rig, furnished: bool = False) -> Catalogue:
+    """The catalogue with the colours of the rig file, where it has any; else with its own, and, where the task is
+    `furnished` with lids or drawers, with those of these. Raises ConfigError where they cannot be."""
     if not rig.hues:
-        return Catalogue()
+        return Catalogue(hues={**BLOCK_HUES, **FITTING_HUES}) if furnished else Catalogue()
     try:
         return Catalogue(hues=rig.hues)
     except ConfigError as error:
@@ -75,20 +77,30 @@ class SceneEstimator:
         """Fuse the pictures of one scan.
 
         Raises:
-            PerceptionError: no pictures, one that cannot be used, or no box.
+            PerceptionError: no pictures, one that cannot be used, or neither a box nor a lid that covers one.
         """
         if not frames:
             raise PerceptionError("a scan without pictures", "check that the wrist camera delivers frames")
         views = [make_view(f, self.segmenter, self.catalogue, self.rig) for f in frames]
         outline = box_outline(views, self.catalogue)
         views = [level(v, self.catalogue, outline) for v in views]
-        box = estimate_box(views, self.catalogue)
-        views = [
-            align_to_box(v, box.features, self.catalogue, self.rig.camera(f.name))
-            for v, f in zip(views, frames, strict=True)
-        ]
-        blocks = estimate_blocks(views, self.catalogue, box)
-        fittings = estimate_fittings(views, self.catalogue)
+        try:
+            box = estimate_box(views, self.catalogue)
+            views = [
+                align_to_box(v, box.features, self.catalogue, self.rig.camera(f.name))
+                for v, f in zip(views, frames, strict=True)
+            ]
+            fittings = estimate_fittings(views, self.catalogue)
+        except PerceptionError:
+            # A lid may cover all of the rim.
+            fittings = estimate_fittings(views, self.catalogue)
+            lids = [fittings.found[n].features for n in self.catalogue.coloured_lids if n in fittings.found]
+            beneath = next(filter(None, (box_under(lid, self.catalogue) for lid in lids)), None)
+            if beneath is None:
+                raise
+            box = beneath
+        drawers = {n: fittings.found[n].features for n in self.catalogue.coloured_drawers if n in fittings.found}
+        blocks = estimate_blocks(views, self.catalogue, Ground(self.catalogue, box.features, drawers))
         return SceneEstimate(
             box,
             blocks.found,
