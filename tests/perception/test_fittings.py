@@ -19,7 +19,7 @@ from resync_robot.perception.catalogue import Catalogue
 from resync_robot.perception.fittings import FittingEstimate
 from resync_robot.perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError
 from resync_robot.perception.objects import SceneEstimate, SceneEstimator
-from resync_robot.perception.outline import Votes, grid, seen_edges, outward_of_rectangle
+from resync_robot.perception.outline import Votes, grid, outward_of_rectangle, seen_edges
 from resync_robot.perception.scan import Scan
 from resync_robot.sim_training.physics.camera_noise import NoisySensor
 from tests.perception.raycast import CENTRE, FLOOR, INNER, RIM, Table
