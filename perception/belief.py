@@ -109,11 +109,6 @@ class Belief:
         return (*((self.held,) if self.held else ()), *self._grasp.riders)
 
     @property
-    def glimpsed(self) -> set[str]:
-        """Names of the blocks that the last scan did not find, and of which it saw a little."""
-        return set(self._glimpsed)
-
-    @property
     def grasp_is_certain(self) -> bool:
         """Was the held block alone between the pads? Of two stacked ones either may have come along, or both."""
         return self._grasp.is_certain

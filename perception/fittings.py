@@ -6,7 +6,7 @@ What does not measure what the catalogue says is not one of them; what is seen t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from resync_robot.core import spatial
 from resync_robot.core.fittings import Drawer, Lid
 from resync_robot.perception.catalogue import CABINET, Catalogue
 from resync_robot.perception.outline import (
+    SEEN,
     Rectangle,
     Votes,
     coverage,
@@ -27,13 +28,13 @@ from resync_robot.perception.outline import (
     vote,
 )
 from resync_robot.perception.patches import LEAST_POINTS, UPRIGHT_WITHIN, patches_of, tilt_of
-from resync_robot.perception.pose import HEIGHT_SIGMA, ViewSigma, fitted_covariance, peak_height, yaw_variance_of
+from resync_robot.perception.pose import HEIGHT_SIGMA, ViewSigma, fitted_covariance, peak_height
 from resync_robot.perception.views import View, gather
 
-LID_SIGMA, DRAWER_SIGMA = ViewSigma(place=0.0012, yaw=0.0026), ViewSigma(place=0.0009, yaw=0.0056)
-"""A drawer stands to the side, where fewer views see it. Fitted to errors in ray-cast scenes."""
-OPENING_SIGMA = 0.0004
-"""m; front and cabinet are seen in the same views, whose errors move both alike."""
+LID_SIGMA, DRAWER_SIGMA = ViewSigma(place=0.0018, yaw=0.0050), ViewSigma(place=0.0014, yaw=0.0070)
+"""Fitted to errors in rendered scenes."""
+OPENING_SIGMA = 0.0014
+"""m, of one view, whose error moves front and cabinet alike."""
 ROUGHLY = 0.03
 """m by which the points of a face may seem larger or smaller than it is, before its edges are fitted."""
 SIZE_TOLERANCE = 0.006
@@ -89,12 +90,18 @@ class _Outline:
 
 @dataclass(frozen=True)
 class _Slide:
-    """How far a drawer is out: the way that its cabinet opens to, m, and how sure that is; `whole` where the end of the
-    front was seen."""
+    """A front before a cabinet.
 
-    yaw: float
-    opening: float
-    sigma: float
+    Attributes:
+        fit: (4,) x and y of the middle of the cabinet, the way that it opens to, and how far the front is out; m, rad.
+        sigma: (4,) what the fit itself knows of these.
+        views: how many see the cabinet's top.
+        whole: the end of the front was seen, and all of its length.
+    """
+
+    fit: Float[np.ndarray, "4"]
+    sigma: Float[np.ndarray, "4"]
+    views: int
     whole: bool
 
 
@@ -105,7 +112,7 @@ class _Face:
     fit: Rectangle
     yaw: float
     top_z: float
-    views: int
+    votes: Votes
 
     @property
     def xy(self) -> np.ndarray:
@@ -142,7 +149,7 @@ def estimate_fittings(views: Sequence[View], catalogue: Catalogue) -> Fittings:
                 slide = _slide_of(views, index[name], drawer, cabinet, yaw, catalogue.table_z)
                 if slide is None:
                     continue
-                estimate = _drawer(name, drawer, cabinet, slide, catalogue.table_z)
+                estimate = _drawer(name, drawer, slide, catalogue.table_z)
                 if slide.whole:
                     estimates[name].append(estimate)
                 else:
@@ -156,25 +163,24 @@ def estimate_fittings(views: Sequence[View], catalogue: Catalogue) -> Fittings:
 def _lid(name: str, lid: Lid, face: _Face) -> FittingEstimate:
     features = np.array([*face.xy, face.top_z - lid.size[2] / 2, *spatial.quat_from_yaw(face.yaw), *lid.size])
     covariance = np.zeros((10, 10))
-    covariance[:7, :7] = fitted_covariance(face.fit, HEIGHT_SIGMA**2, face.views, LID_SIGMA, face.yaw)
+    covariance[:7, :7] = fitted_covariance(face.fit, HEIGHT_SIGMA**2, face.votes.views, LID_SIGMA, face.yaw)
     return FittingEstimate(name, features, covariance)
 
 
-def _drawer(name: str, drawer: Drawer, cabinet: _Face, slide: _Slide, table_z: float) -> FittingEstimate:
+def _drawer(name: str, drawer: Drawer, slide: _Slide, table_z: float) -> FittingEstimate:
     """The front is where the cabinet lets it slide, and as far ahead as it was seen."""
-    along, across = (np.array([np.cos(a), np.sin(a)]) for a in (slide.yaw, slide.yaw + np.pi / 2))
-    reach = (drawer.cabinet[0] + drawer.front[0]) / 2 + slide.opening
-    z = table_z + drawer.lift + drawer.front[2] / 2
-    quat = spatial.quat_from_yaw(slide.yaw)
-    features = np.array([*(cabinet.xy + reach * along), z, *quat, slide.opening, *drawer.front])
-    of_cabinet = fitted_covariance(cabinet.fit, HEIGHT_SIGMA**2, cabinet.views, DRAWER_SIGMA, slide.yaw)
-    yaw_variance = yaw_variance_of(of_cabinet)
-    # An error of the cabinet's yaw moves the front sideways, one of the opening moves it ahead.
+    x, y, yaw, opening = slide.fit
+    along, across = (np.array([np.cos(a), np.sin(a)]) for a in (yaw, yaw + np.pi / 2))
+    reach = (drawer.cabinet[0] + drawer.front[0]) / 2 + opening
+    z, quat = table_z + drawer.lift + drawer.front[2] / 2, spatial.quat_from_yaw(yaw)
+    features = np.array([*(np.array([x, y]) + reach * along), z, *quat, opening, *drawer.front])
+    # An error of the yaw moves the front sideways, one of the opening moves it ahead.
     by = np.zeros((11, 4))
     by[:2] = np.column_stack([np.eye(2), reach * across, along])
     by[[3, 6], 2] = np.array([-quat[3], quat[0]]) / 2
     by[7, 3] = 1.0
-    variances = [*np.diag(of_cabinet)[:2], yaw_variance, slide.sigma**2 + OPENING_SIGMA**2]
+    place, turn = DRAWER_SIGMA.place, DRAWER_SIGMA.yaw
+    variances = np.square([place, place, turn, OPENING_SIGMA]) / max(slide.views, 1) + slide.sigma**2
     covariance = by @ np.diag(variances) @ by.T
     covariance[2, 2] = HEIGHT_SIGMA**2
     return FittingEstimate(name, features, covariance)
@@ -208,25 +214,43 @@ def _slide_of(
 
     half = width / 2 + 0.015
     cells = grid(middle(rough), half, max(half / 75, 0.001))
-    outward = outward_of_rectangle(cells, middle(rough), yaw, np.array([thickness, width]))
-    votes = vote(views, cells, top_z, lambda view: view.labels == index, outward)
+    edge = (middle(rough), yaw, np.array([thickness, width]))
+    votes = vote(views, cells, top_z, lambda view: view.labels == index, outward_of_rectangle(cells, *edge))
     near = np.abs((cells - middle(rough)) @ along) < thickness / 2 + ROUGHLY
-    seen = near & (votes.weight > 0.05)
-    end, *_ = seen_edges(votes, (middle(rough), yaw, np.array([thickness, width])), SIZE_TOLERANCE)
+    votes = replace(votes, weight=np.where(near, votes.weight, 0.0))
+    end, *_ = seen_edges(votes, edge, SIZE_TOLERANCE)
     spread = np.ptp(np.percentile(beside[on], [2, 98]))
-    if end < EDGE_SEEN or spread < width - ROUGHLY or not seen.any():
-        return _Slide(yaw, rough, 0.0, whole=False)
+    start = np.array([*cabinet.xy, yaw, rough])
+    if end < EDGE_SEEN or spread < width - ROUGHLY:
+        return _Slide(start, np.zeros(4), 0, whole=False)
+    fit, sigma, misfit = _fit_slide(drawer, cabinet.votes, votes, start)
+    if misfit > MOST_MISFIT or not -SIZE_TOLERANCE < fit[3] < drawer.travel + SIZE_TOLERANCE:
+        return None
+    return _Slide(fit, sigma, cabinet.votes.views, whole=True)
+
+
+def _fit_slide(
+    drawer: Drawer, cabinet: Votes, front: Votes, start: Float[np.ndarray, "4"]
+) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "4"], float]:
+    """x, y, yaw of the cabinet and the opening that explain the votes for its top and for the edge of its front best;
+    what the fit knows of these, and what the front leaves unexplained."""
+    on_cabinet, on_front = cabinet.weight > SEEN, front.weight > SEEN
+
+    def of_front(p: np.ndarray) -> np.ndarray:
+        along = np.array([np.cos(p[2]), np.sin(p[2])])
+        middle = p[:2] + along * ((drawer.cabinet[0] + drawer.front[0]) / 2 + p[3])
+        return coverage(front.xy[on_front], middle, p[2], drawer.front[:2]) - front.filled[on_front]
 
     def misfit(p: np.ndarray) -> np.ndarray:
-        return coverage(cells[seen], middle(float(p[0])), yaw, (thickness, width)) - votes.filled[seen]
+        top = coverage(cabinet.xy[on_cabinet], p[:2], p[2], drawer.cabinet[:2]) - cabinet.filled[on_cabinet]
+        return np.concatenate([top, of_front(p)])
 
-    fit = least_squares(misfit, [rough], x_scale=0.01, loss="soft_l1", f_scale=0.3, max_nfev=25)
-    left = float(np.sqrt(np.mean(misfit(fit.x) ** 2)))
-    if left > MOST_MISFIT or not -SIZE_TOLERANCE < fit.x[0] < drawer.travel + SIZE_TOLERANCE:
-        return None
+    scale = np.array([1.0, 1.0, 1.0 / max(drawer.cabinet[:2]), 1.0]) * 0.01
+    fit = least_squares(misfit, start, x_scale=scale, loss="soft_l1", f_scale=0.3, max_nfev=25)
+    left = float(np.sqrt(np.mean(of_front(fit.x) ** 2)))
     # Neighbouring cells see the same pixels, so a tenth of them is independent.
-    sigma = float(np.sqrt(10 / (fit.jac[:, 0] @ fit.jac[:, 0] + 1e-3))) * max(left, 0.05)
-    return _Slide(yaw, float(fit.x[0]), sigma, whole=True)
+    information = fit.jac.T @ fit.jac + np.eye(4) * 1e-3
+    return fit.x, np.sqrt(np.diag(np.linalg.inv(information)) * 10) * max(left, 0.05), left
 
 
 def _outline(views: Sequence[View], index: int, patch: np.ndarray, extents: np.ndarray) -> _Outline | None:
@@ -256,4 +280,4 @@ def _fit_face(outline: _Outline, extents: np.ndarray) -> _Face | None:
     if min(off, off_turned) > SIZE_TOLERANCE or r.misfit > MOST_MISFIT:
         return None
     yaw = r.yaw if off <= off_turned or extents[0] == extents[1] else float(spatial.wrap(r.yaw + np.pi / 2, np.pi))
-    return _Face(r, yaw, outline.top_z, outline.votes.views)
+    return _Face(r, yaw, outline.top_z, outline.votes)

@@ -25,7 +25,7 @@ _BLUR = 0.003
 """An edge that seems to be moved by this much is trusted half as much, m."""
 _SOFTNESS = 0.0015
 """Width of the edge of the fitted shape, m."""
-_SEEN = 0.05
+SEEN = 0.05
 """Sum of the views' weights from which a cell counts as seen."""
 
 
@@ -169,7 +169,7 @@ def seen_edges(votes: Votes, rectangle: tuple[np.ndarray, float, np.ndarray], wi
     shares = []
     for turn in np.arange(4) * np.pi / 2 + yaw:
         beside = near & (outward @ [np.cos(turn), np.sin(turn)] > 0.9)
-        shares.append(float(np.mean(votes.weight[beside] > _SEEN)) if beside.any() else 1.0)
+        shares.append(float(np.mean(votes.weight[beside] > SEEN)) if beside.any() else 1.0)
     return np.array(shares)
 
 
@@ -186,7 +186,7 @@ def fit_rectangle(
         square: keep both extents equal.
         ring: > 0 for a frame of that thickness around the rectangle (a box's rim around its inside); 0 for the face.
     """
-    seen = votes.weight > _SEEN
+    seen = votes.weight > SEEN
     xy, filled = votes.xy[seen], votes.filled[seen]
     centre, yaw, extents = start
 

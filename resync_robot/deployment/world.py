@@ -288,7 +288,7 @@ class DeployedWorld:
         places += self.belief.unclear_places()
         different = [p for i, p in enumerate(places) if all(np.linalg.norm(p - q) > SAME_SIGHT for q in places[:i])]
         configurations = [q for place in different[:MOST_PLACES] for q in self.scan.towards(place)]
-        if error is not None and not set(error.names) <= known_names(state) | self.belief.glimpsed:
+        if error is not None and not known_names(state).issuperset(error.names):
             # What nobody has ever seen may be anywhere.
             configurations += self.scan.configurations
         return configurations
