@@ -136,7 +136,7 @@ class Belief:
         else:
             self._before_scan = self._memory()
         self._grasp.follow(self._known, robot_features)
-        places = {b.name: k.features[:2] for b, k in self._known.items() if b in self._blocks}
+        places = {b.name: k.features[:2] for b, k in self._known.items() if b in self._blocks and not k.is_guess}
         in_hand = [o.name for o in self.in_hand]
         scene, ambiguous = name_blocks(
             scene, self._estimator.catalogue.look_alikes, [b.name for b in self._blocks], in_hand, places
@@ -180,14 +180,15 @@ class Belief:
         if box.seen:
             sizes, scans = averaged_sizes(before, box.features[7:])
             self._known[self._box] = Known(np.array([*box.features[:7], *sizes]), box.covariance, scans)
-        elif before is None or before.scans == 0:
+        elif before is None or before.is_guess:
             # Under a lid; what was measured before is better.
             self._known[self._box] = Known(box.features, box.covariance, scans=0)
 
     def _is_held(self, obj: Object, scene: SceneEstimate) -> bool:
         """Is what was seen of a lid what hangs from the hand?"""
-        away = scene.fittings[obj.name].features[:2] - self._known[obj].features[:2] if obj == self.held else LET_GO
-        return bool(np.linalg.norm(away) < LET_GO)
+        if obj != self.held:
+            return False
+        return bool(np.linalg.norm(scene.fittings[obj.name].features[:2] - self._known[obj].features[:2]) < LET_GO)
 
     def _carry_in(self, drawer: Object, before: Float[np.ndarray, "11"], seen: Sequence[Object]) -> None:
         """Take what stood in a drawer with these features along to where the drawer is now."""
@@ -210,10 +211,12 @@ class Belief:
         # From above down, as last believed: what hides under one block may hide another in its turn.
         for block in sorted(unseen, key=lambda b: -self._known[b].features[2] if b in self._known else 0.0):
             known = self._known.get(block)
-            if self._hide(block, [*seen, *hidden], scene) or (known is not None and self._in_closed_drawer(known)):
+            # Nobody's hand is at work in there, so nothing becomes less sure from scan to scan.
+            shut_in = known is not None and block.name not in scene.glimpses and self._in_closed_drawer(known)
+            if shut_in or self._hide(block, [*seen, *hidden], scene):
                 hidden.append(block)
             elif self._lid_is_on():
-                if known is None or known.scans == 0:
+                if known is None or known.is_guess:
                     self._known[block] = somewhere_in(self._known[self._box].features, self._estimator.catalogue)
                     covered.append(block)
                 elif inside_box(known.features[:2], self._known[self._box].features):
@@ -236,7 +239,7 @@ class Belief:
         for obj in (*self._blocks, *self._fittings):
             if obj not in self._known or obj.name not in (*missing, *ambiguous):
                 continue
-            if self._known[obj].scans == 0:
+            if self._known[obj].is_guess:
                 del self._known[obj]
             else:
                 self._known[obj] = out_of_sight(self._known[obj], moves=obj.type == DRAWER)
@@ -299,6 +302,8 @@ class Belief:
     def _hide(self, block: Object, covers: Sequence[Object], scene: SceneEstimate) -> bool:
         """Is a block that was not found plausibly under another one? If so, its estimate is brought up to date."""
         before, glimpse = self._known.get(block), scene.glimpses.get(block.name)
+        if before is not None and before.is_guess:
+            before = None
         if glimpse is not None:
             place = glimpse.centre
         elif before is not None:

@@ -32,6 +32,11 @@ class Known:
     scans: int = 1
     height_known: bool = True
 
+    @property
+    def is_guess(self) -> bool:
+        """Nothing of it was ever seen: what covers it says where it is."""
+        return self.scans == 0
+
 
 def underside(features: Float[np.ndarray, "10"]) -> float:
     """Height in m of a block's lower face."""

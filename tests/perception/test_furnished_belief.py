@@ -15,7 +15,7 @@ from resync_robot.core.state import State
 from resync_robot.core.vocabulary import DRAWER, LID
 from resync_robot.deployment.uncertain_atoms import SampledAbstraction
 from resync_robot.perception.belief import Belief
-from resync_robot.perception.blocks import BlockEstimate
+from resync_robot.perception.blocks import BlockEstimate, Glimpse
 from resync_robot.perception.fittings import FittingEstimate
 from resync_robot.perception.ground import Ground
 from resync_robot.perception.known import somewhere_in
@@ -94,6 +94,14 @@ def test_a_block_that_is_not_under_the_lid_either_is_nowhere(furnished: Belief) 
 def test_without_a_lid_on_the_box_nothing_is_covered(furnished: Belief) -> None:
     with pytest.raises(MissingObjectsError, match="did not find b0"):
         furnished.update(scene(block("b1", 0.24, -0.5, 0.0), fittings=UNCOVERED), robot())
+
+
+def test_what_only_shows_under_another_block_is_not_as_sure_as_if_it_had_been_measured(furnished: Belief) -> None:
+    furnished.update(scene(block("b1", 0.24, -0.5, 0.0), fittings=LIDDED), robot())
+    on_it = block("b1", 0.48, 0.0, FLOOR + HEIGHT, stacked=True)
+    shown = replace(scene(on_it, fittings=UNCOVERED), glimpses={"b0": Glimpse("b0", np.array([0.48, 0.0]))})
+    state = furnished.update(shown, robot())
+    assert np.sqrt(state.covariance(B0)[9, 9]) > 0.002 and state[B0][7] == pytest.approx(WIDTH)
 
 
 def test_a_block_seen_before_keeps_its_place_under_a_lid(furnished: Belief) -> None:
@@ -191,6 +199,8 @@ def test_what_stands_in_a_drawer_goes_with_it_and_is_remembered_when_it_is_close
     after = furnished.update(scene(fittings=(UNCOVERED[0], drawer(0.0))), robot())
     assert set(furnished.report.hidden) == {"b0", "b1"}
     assert after[B1][0] - before[B1][0] == pytest.approx(BUILT.travel)
+    for thing in (B0, B1):
+        assert after.covariance(thing)[0, 0] == before.covariance(thing)[0, 0], "nothing was at work in there"
     assert goal <= atoms(after)
 
 
