@@ -15,14 +15,13 @@ from jaxtyping import Float
 
 from resync_robot.core import spatial
 from resync_robot.perception.catalogue import Catalogue
+from resync_robot.perception.ground import Ground
 from resync_robot.perception.outline import Rectangle, fit_rectangle, grid, outward_of_face, rough_rectangle, vote
 from resync_robot.perception.patches import LEAST_POINTS, UPRIGHT_WITHIN, patches_of, tilt_of, without_stragglers
 from resync_robot.perception.pose import (
     HEIGHT_SIGMA,
-    BoxEstimate,
     ViewSigma,
     fitted_covariance,
-    inside_box,
     peak_height,
     tie_height,
     upright_covariance,
@@ -92,7 +91,7 @@ class Blocks:
     without_depth: tuple[str, ...]
 
 
-def estimate_blocks(views: Sequence[View], catalogue: Catalogue, box: BoxEstimate | None) -> Blocks:
+def estimate_blocks(views: Sequence[View], catalogue: Catalogue, ground: Ground) -> Blocks:
     """Every block whose top face is seen, and glimpses of those of which only sides are."""
     found: dict[str, BlockEstimate] = {}
     surplus: list[BlockEstimate] = []
@@ -108,7 +107,7 @@ def estimate_blocks(views: Sequence[View], catalogue: Catalogue, box: BoxEstimat
         estimates = []
         for i, piece in enumerate(pieces):
             others = [c for j, c in enumerate(centres) if j != i]
-            estimate = _block(views, index, names[0], piece, others, catalogue, box)
+            estimate = _block(views, index, names[0], piece, others, ground)
             if estimate is not None:
                 estimates.append(estimate)
             else:
@@ -171,14 +170,14 @@ def _block(
     name: str,
     patch: np.ndarray,
     others: Sequence[np.ndarray],
-    catalogue: Catalogue,
-    box: BoxEstimate | None,
+    ground: Ground,
 ) -> BlockEstimate | None:
     """The block of a patch of points, or None where no square top face shows.
 
     Args:
         others: centres of the other patches of that colour, which a vote for this one must not count.
     """
+    catalogue, box = ground.catalogue, ground.box
     top_z = peak_height(patch[:, 2])
     on_top = np.abs(patch[:, 2] - top_z) < 0.005
     # Sides alone have no peak: their heights are spread over the whole block.
@@ -199,11 +198,8 @@ def _block(
     r = fit_rectangle(votes, (centre, yaw, np.clip(extents, least, most)), square=True)
     if not least <= r.width <= most or r.misfit > 0.35:
         return None
-    ground = catalogue.table_z
-    if box is not None and inside_box(np.array([r.x, r.y]), box.features):
-        ground += catalogue.floor_thickness
     tilt = tilt_of(top)
-    height = top_z - ground
+    height = top_z - ground.height(np.array([r.x, r.y]))
     low, high = catalogue.block_height
     # Of a tower only the whole height is seen: its blocks share it.
     storeys = 1 if height <= high else round(height / TYPICAL_HEIGHT)
@@ -215,7 +211,7 @@ def _block(
     )
     covariance = np.zeros((10, 10))
     covariance[:7, :7] = fitted_covariance(r, 0.0, votes.views, BLOCK_SIGMA)
-    if box is not None and in_corner(np.array([r.x, r.y]), r.width, box.features):
+    if box is not None and in_corner(np.array([r.x, r.y]), r.width, box):
         place = np.array([CORNER_SIGMA.place**2, CORNER_SIGMA.place**2, 0.0])
         covariance[:7, :7] += upright_covariance(place, CORNER_SIGMA.yaw**2, features[3:7])
     covariance[7:9, 7:9] = r.sigma[3] ** 2 + SIZE_SIGMA**2

@@ -15,6 +15,10 @@ from resync_robot.core.fittings import Drawer, Lid
 
 CABINET = "_cabinet"
 """Ends the name under which the colour of a drawer's cabinet stands in `hues`."""
+BLOCK_HUES: Mapping[str, float] = MappingProxyType({"b0": 0.00, "b1": 0.60, "b2": 0.14, "b3": 0.36})
+"""Red, blue, yellow, green."""
+FITTING_HUES: Mapping[str, float] = MappingProxyType({"lid": 0.80, "drawer": 0.48, "drawer" + CABINET: 0.25})
+"""Purple, turquoise, and the green of limes: of a lid and a drawer where a task has them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,10 +29,8 @@ class Catalogue:
         ConfigError: a lid or a drawer that looks like something else, or a drawer without a colour for its cabinet.
     """
 
-    hues: Mapping[str, float] = field(
-        default_factory=lambda: MappingProxyType({"b0": 0.00, "b1": 0.60, "b2": 0.14, "b3": 0.36})
-    )
-    """Hue of each thing by its name, in [0, 1): red, blue, yellow, green. Several blocks may have the same."""
+    hues: Mapping[str, float] = field(default_factory=lambda: BLOCK_HUES)
+    """Hue of each thing by its name, in [0, 1). Several blocks may have the same."""
     hue_tolerance: float = 0.06
     least_saturation: float = 0.30
     least_chroma: float = 0.03

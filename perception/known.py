@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from resync_robot.core import spatial
 from resync_robot.perception.blocks import BlockEstimate
+from resync_robot.perception.catalogue import Catalogue
 from resync_robot.perception.pose import HEIGHT_SIGMA, tie_height, upright_covariance, yaw_variance_of
 
 LIFTED = 0.020
@@ -30,6 +31,11 @@ class Known:
     covariance: Float[np.ndarray, "10 10"]
     scans: int = 1
     height_known: bool = True
+
+    @property
+    def is_guess(self) -> bool:
+        """Nothing of it was ever seen: what covers it says where it is."""
+        return self.scans == 0
 
 
 def underside(features: Float[np.ndarray, "10"]) -> float:
@@ -64,6 +70,29 @@ def measured(before: Known | None, estimate: BlockEstimate) -> Known:
         half_tilt = TIPPED_TILT / 2
         covariance += np.diag(np.array([*[TIPPED_SIGMA] * 3, 0, half_tilt, half_tilt, 0, *[TIPPED_SIGMA] * 3]) ** 2)
     return Known(features, covariance, scans, height_known)
+
+
+def moved_to(known: Known, pose: Float[np.ndarray, "4 4"]) -> Known:
+    """The same thing where something else has brought it."""
+    row, covariance = spatial.features_from_pose(pose), known.covariance.copy()
+    covariance[:7, :7] = upright_covariance(np.diag(covariance)[:3], yaw_variance_of(covariance), row[3:7])
+    return replace(known, features=np.concatenate([row, known.features[7:]]), covariance=covariance)
+
+
+def somewhere_in(box: Float[np.ndarray, "11"], catalogue: Catalogue) -> Known:
+    """A block that nobody has seen yet, and that a covered box with these features must hold: anywhere on its floor, of
+    any heading and size."""
+    (thin, wide), (low, high) = catalogue.block_width, catalogue.block_height
+    width, height = (thin + wide) / 2, (low + high) / 2
+    features = np.array([*box[:2], box[2] + height / 2, *box[3:7], width, width, height])
+    covariance = np.zeros((10, 10))
+    # A uniform distribution has a twelfth of its width's square.
+    turn = spatial.pose_from_features(box[:7])[:2, :2]
+    covariance[:7, :7] = upright_covariance(np.zeros(3), (np.pi / 2) ** 2 / 12, features[3:7])
+    covariance[:2, :2] = turn @ np.diag((box[7:9] - width) ** 2 / 12) @ turn.T
+    covariance[7:9, 7:9] = (wide - thin) ** 2 / 12
+    tie_height(covariance, (high - low) / np.sqrt(12), HEIGHT_SIGMA, from_top=False)
+    return Known(features, covariance, scans=0, height_known=False)
 
 
 def out_of_sight(known: Known, moves: bool = False) -> Known:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -91,7 +91,7 @@ def name_blocks(
     scene: SceneEstimate,
     look_alikes: Sequence[Sequence[str]],
     names: Sequence[str],
-    held: str | None,
+    in_hand: Collection[str],
     places: Mapping[str, Float[np.ndarray, "2"]],
 ) -> tuple[SceneEstimate, dict[str, Float[np.ndarray, "n 2"]]]:
     """Give blocks that look alike the names of those that stood nearest.
@@ -99,7 +99,7 @@ def name_blocks(
     Args:
         look_alikes: the catalogue's names, those of one colour together.
         names: of the blocks that there are.
-        held: the one between the pads, as believed.
+        in_hand: those between the pads or on top of what is, as believed.
         places: (x, y) where each was believed before, m.
 
     Returns:
@@ -116,8 +116,9 @@ def name_blocks(
             continue
         for name in group:
             blocks.pop(name, None)
-        if held in mine and len(seen) < len(mine):
-            mine.remove(held)
+        for name in in_hand:
+            if name in mine and len(seen) < len(mine):
+                mine.remove(name)
         too_many = len(seen) > len(mine)
         chosen = _nearest(mine, seen, places, SAME_PLACE if too_many else np.inf)
         open_names = [n for n in mine if n not in chosen]

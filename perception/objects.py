@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from resync_robot.core.errors import ConfigError, PerceptionError
-from resync_robot.core.rig import Rig
+from resync_robot.core.rig import CameraRig, Rig
 from resync_robot.core.world import CameraFrame
 from resync_robot.perception.blocks import BlockEstimate, Glimpse, estimate_blocks
-from resync_robot.perception.catalogue import Catalogue
-from resync_robot.perception.fittings import FittingEstimate, estimate_fittings
-from resync_robot.perception.pose import BoxEstimate, box_outline, estimate_box, outer_corners
+from resync_robot.perception.catalogue import BLOCK_HUES, FITTING_HUES, Catalogue
+from resync_robot.perception.fittings import FittingEstimate, Fittings, estimate_fittings
+from resync_robot.perception.ground import Ground
+from resync_robot.perception.pose import BoxEstimate, box_outline, box_under, estimate_box, outer_corners
 from resync_robot.perception.register import align_to_box
 from resync_robot.perception.segment import ColourSegmenter, Segmenter
 from resync_robot.perception.views import View, level, make_view
@@ -37,10 +38,11 @@ class SceneEstimate:
     seen_in_part: Mapping[str, Float[np.ndarray, "n 2"]] = field(default_factory=dict)
 
 
-def catalogue_of(rig: Rig) -> Catalogue:
-    """The catalogue with the colours of the rig file, where it has any. Raises ConfigError where they cannot be."""
+def catalogue_of(rig: Rig, furnished: bool = False) -> Catalogue:
+    """The catalogue with the colours of the rig file, where it has any; else with its own, and, where the task is
+    `furnished` with lids or drawers, with those of these. Raises ConfigError where they cannot be."""
     if not rig.hues:
-        return Catalogue()
+        return Catalogue(hues={**BLOCK_HUES, **FITTING_HUES}) if furnished else Catalogue()
     try:
         return Catalogue(hues=rig.hues)
     except ConfigError as error:
@@ -83,23 +85,17 @@ class SceneEstimator:
                 that one.
 
         Raises:
-            PerceptionError: no pictures, one that cannot be used, no box, or one that is not where it is known.
+            PerceptionError: no pictures, one that cannot be used, neither a box nor a lid that covers one, or a box
+                that is not where it is known.
         """
         if not frames:
             raise PerceptionError("a scan without pictures", "check that the wrist camera delivers frames")
         views = [make_view(f, self.segmenter, self.catalogue, self.rig) for f in frames]
         outline = box_outline(views, self.catalogue) if box is None else outer_corners(box.features)
         views = [level(v, self.catalogue, outline) for v in views]
-        known, box = box is not None, estimate_box(views, self.catalogue) if box is None else box
-        aligned = [
-            align_to_box(v, box.features, self.catalogue, self.rig.camera(f.name))
-            for v, f in zip(views, frames, strict=True)
-        ]
-        if known:
-            _check_place(views, aligned)
-        views = aligned
-        blocks = estimate_blocks(views, self.catalogue, box)
-        fittings = estimate_fittings(views, self.catalogue)
+        box, views, fittings = self._box_and_fittings(views, [self.rig.camera(f.name) for f in frames], box)
+        drawers = {n: fittings.found[n].features for n in self.catalogue.coloured_drawers if n in fittings.found}
+        blocks = estimate_blocks(views, self.catalogue, Ground(self.catalogue, box.features, drawers))
         return SceneEstimate(
             box,
             blocks.found,
@@ -110,6 +106,25 @@ class SceneEstimator:
             fittings.seen_twice,
             fittings.seen_in_part,
         )
+
+    def _box_and_fittings(
+        self, views: list[View], cameras: Sequence[CameraRig], known: BoxEstimate | None
+    ) -> tuple[BoxEstimate, list[View], Fittings]:
+        """The box, the views corrected by it, and the lids and drawers in them."""
+        try:
+            box = estimate_box(views, self.catalogue) if known is None else known
+        except PerceptionError:
+            # A lid may cover all of the rim.
+            fittings = estimate_fittings(views, self.catalogue)
+            lids = [fittings.found[n].features for n in self.catalogue.coloured_lids if n in fittings.found]
+            beneath = next(filter(None, (box_under(lid, self.catalogue) for lid in lids)), None)
+            if beneath is None:
+                raise
+            return beneath, views, fittings
+        aligned = [align_to_box(v, box.features, self.catalogue, c) for v, c in zip(views, cameras, strict=True)]
+        if known is not None:
+            _check_place(views, aligned)
+        return box, aligned, estimate_fittings(aligned, self.catalogue)
 
 
 def _check_place(views: Sequence[View], aligned: Sequence[View]) -> None:

@@ -25,7 +25,7 @@ _BLUR = 0.003
 """An edge that seems to be moved by this much is trusted half as much, m."""
 _SOFTNESS = 0.0015
 """Width of the edge of the fitted shape, m."""
-_SEEN = 0.05
+SEEN = 0.05
 """Sum of the views' weights from which a cell counts as seen."""
 
 
@@ -159,17 +159,18 @@ def rough_rectangle(points: Float[np.ndarray, "n 2"]) -> tuple[np.ndarray, float
     return np.array([x, y]), float(spatial.wrap(yaw, np.pi / 2)), extents
 
 
-def least_seen_edge(votes: Votes, rectangle: tuple[np.ndarray, float, np.ndarray], within: float) -> float:
-    """Of what lies up to `within` m outside each edge of a rectangle, the share in [0, 1] that some view sees; of the
-    edge where it is least. Where it is small, nothing says that the face ends there."""
+def seen_edges(votes: Votes, rectangle: tuple[np.ndarray, float, np.ndarray], within: float) -> Float[np.ndarray, "4"]:
+    """Of what lies up to `within` m outside each edge of a rectangle, the share in [0, 1] that some view sees: first of
+    the edge ahead along its yaw, then of those a quarter turn further each. Where it is small, nothing says that the
+    face ends there."""
     centre, yaw, extents = rectangle
     outward, beyond = _across(votes.xy, centre, yaw, extents)
     near = (beyond >= 0) & (beyond < within)
     shares = []
     for turn in np.arange(4) * np.pi / 2 + yaw:
         beside = near & (outward @ [np.cos(turn), np.sin(turn)] > 0.9)
-        shares.append(float(np.mean(votes.weight[beside] > _SEEN)) if beside.any() else 1.0)
-    return min(shares)
+        shares.append(float(np.mean(votes.weight[beside] > SEEN)) if beside.any() else 1.0)
+    return np.array(shares)
 
 
 def fit_rectangle(
@@ -185,7 +186,7 @@ def fit_rectangle(
         square: keep both extents equal.
         ring: > 0 for a frame of that thickness around the rectangle (a box's rim around its inside); 0 for the face.
     """
-    seen = votes.weight > _SEEN
+    seen = votes.weight > SEEN
     xy, filled = votes.xy[seen], votes.filled[seen]
     centre, yaw, extents = start
 

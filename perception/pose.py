@@ -39,15 +39,19 @@ class ViewSigma:
     yaw: float
 
 
+LID_OFF, LID_ASKEW = 0.008, 0.04
+"""Of the middle of a box (m) and its yaw (rad) against those of the lid that covers all of its inside."""
 BOX_SIGMA = ViewSigma(place=0.00095, yaw=0.0042)
 
 
 @dataclass(frozen=True)
 class BoxEstimate:
-    """Attributes: `features` (11,) of core.vocabulary.BOX, `covariance` (11, 11)."""
+    """Attributes: `features` (11,) of core.vocabulary.BOX, `covariance` (11, 11); `seen`: its rim was, and it is not
+    only reckoned from the lid that covers it."""
 
     features: Float[np.ndarray, "11"]
     covariance: Float[np.ndarray, "11 11"]
+    seen: bool = True
 
 
 def box_outline(views: Sequence[View], catalogue: Catalogue) -> np.ndarray | None:
@@ -129,6 +133,22 @@ def outer_corners(box: Float[np.ndarray, "11"]) -> Float[np.ndarray, "4 2"]:
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     c, s = np.cos(yaw := float(spatial.yaw_of(box[3:7]))), np.sin(yaw)
     return np.asarray(box[:2] + corners @ np.array([[c, s], [-s, c]]))
+
+
+def box_under(lid: Float[np.ndarray, "10"], catalogue: Catalogue) -> BoxEstimate | None:
+    """The box that a lid with these features lies on, where that is as high as a rim: as large as boxes are, about
+    where the lid is."""
+    low, high = catalogue.rim_height
+    rim_z = float(lid[2] - lid[9] / 2)
+    if not low <= rim_z - catalogue.table_z <= high:
+        return None
+    inner, floor_z = float(np.mean(catalogue.box_inner)), catalogue.table_z + catalogue.floor_thickness
+    features = np.array([*lid[:2], floor_z, *lid[3:7], inner, inner, rim_z - floor_z, catalogue.wall_thickness])
+    covariance = np.zeros((11, 11))
+    covariance[:7, :7] = upright_covariance(np.array([LID_OFF**2, LID_OFF**2, 0.0]), LID_ASKEW**2, lid[3:7])
+    covariance[7, 7] = covariance[8, 8] = np.ptp(catalogue.box_inner) ** 2 / 12
+    covariance[9, 9] = HEIGHT_SIGMA**2
+    return BoxEstimate(features, covariance, seen=False)
 
 
 def inside_box(xy: Float[np.ndarray, "2"], box: Float[np.ndarray, "11"]) -> bool:

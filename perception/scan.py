@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -13,6 +13,8 @@ from resync_robot.core import spatial
 from resync_robot.core.errors import MotionError, PerceptionError
 from resync_robot.core.kinematics import BRANCHES
 from resync_robot.core.rig import Rig
+from resync_robot.core.symbols import Type
+from resync_robot.core.vocabulary import DRAWER, LID
 from resync_robot.core.world import CameraFrame
 
 LEAST_TIP_HEIGHT = 0.27
@@ -49,6 +51,22 @@ BOX_AND_SIDES = (
 )
 """The box from all four sides (each camera stands inside the walls' outline, or they would hide a corner), the table
 on either side; in an order that turns the wrist one way only."""
+FURNISHED = (
+    Viewpoint((0.40, -0.45), 0.40, -np.pi),
+    *BOX_AND_SIDES[:2],
+    Viewpoint((0.45, -0.45), 0.40, 0.0),
+    *BOX_AND_SIDES[2:4],
+    Viewpoint((0.50, 0.43), 0.40, np.pi / 2),
+    BOX_AND_SIDES[5],
+    Viewpoint((0.50, 0.43), 0.35, 3 * np.pi / 2),
+)
+"""The same where a lid lies to the right of the box, blocks to the right of the robot, and a cabinet stands to the left
+of the box: all edges of its top are seen, from higher up, by one view or the other."""
+
+
+def viewpoints_for(types: Collection[Type]) -> tuple[Viewpoint, ...]:
+    """A round that shows whatever a task with objects of these types has on the table."""
+    return FURNISHED if {LID, DRAWER} & set(types) else BOX_AND_SIDES
 
 
 class Scan:

@@ -70,10 +70,19 @@ class Judge:
             simulator.restore(before)
         return succeeded
 
-    def makes_ready(self, simulator: TrainingSimulator[Any, Any], model: Model) -> bool:
-        """Bring about what has to hold for the failed skill to be begun: a lid may lie over what it is about. Whether
-        that succeeded."""
-        return brought_about(simulator, model, self.needs)[0]
+    def makes_ready(self, simulator: TrainingSimulator[Any, Any], model: Model, task: Task) -> None:
+        """Bring a fresh scene of the task to where the failed skill would be begun, for only there it fails as it did:
+        a lid may lie over what it is about, or something that an earlier stage knows may be in the way as well.
+
+        What cannot be brought about of all that is known to be needed is tried with what was given alone, and left as
+        it was in the end.
+        """
+        operator = next((o for o in model.operators if o.name == self.failed.name), None)
+        known = operator.ground(self.failed.objects).preconditions if operator is not None else self.needs
+        for needs in (known, self.needs):
+            if brought_about(simulator, model, needs)[0]:
+                return
+            simulator.reset(task.initial)
 
     def _succeeds(self, simulator: TrainingSimulator[Any, Any]) -> bool:
         if self.plan_with is None:

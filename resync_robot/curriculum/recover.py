@@ -131,15 +131,14 @@ class _Check:
 
 def _check(context: Context, job: _Check) -> tuple[bool, tuple[State, State] | None] | None:
     """Whether the recovery said that it is done, and the states it began in and left, if the failed skill then did its
-    work; None where the scene does not stand, or the failed skill could not even be begun."""
+    work; None where the scene does not stand."""
     task = task_of(context.domain, job.stage, job.seed)
     simulator = context.embodiment.simulate(task)
     if not simulator.reset(task.initial):
         return None
     about = job.explanation
     judge = judge_of(context.domain, context.model, about)
-    if not judge.makes_ready(simulator, context.model):
-        return None
+    judge.makes_ready(simulator, context.model, task)
     begun = simulator.perceive()
     done = run_skill(simulator, context.model.skill(job.stage.recovery).ground(about.parameters)).done
     left = simulator.perceive()

@@ -31,8 +31,8 @@ from resync_robot.perception.belief import Belief
 from resync_robot.perception.crop import cut_out
 from resync_robot.perception.naming import UnsettledSceneError
 from resync_robot.perception.next_views import next_views
-from resync_robot.perception.objects import SceneEstimator
-from resync_robot.perception.scan import Scan
+from resync_robot.perception.objects import SceneEstimator, catalogue_of
+from resync_robot.perception.scan import Scan, viewpoints_for
 from resync_robot.perception.segment import Segmenter
 
 WRIST = "wrist"
@@ -43,6 +43,8 @@ MORE_LOOKS = 2
 """How often places in doubt are looked at again."""
 MOST_PLACES = 3
 """Of one such look."""
+LOOKED_AT = (BLOCK, LID, DRAWER)
+"""Types of the things that are looked at again where an atom in doubt speaks of them."""
 SAME_SIGHT = 0.05
 """m within which a look at one place shows the other."""
 
@@ -114,12 +116,12 @@ class DeployedWorld:
         self._looked: list[float] = []
         self.robot, self.rig, self._cameras = robot, rig, cameras
         self.stream: Motions = Stream(robot, rig) if stream is None else stream
-        self.scan = Scan(rig)
+        fittings = [o for o in objects if o.type in (LID, DRAWER)]
+        self.scan = Scan(rig, viewpoints_for([o.type for o in objects]))
         self._robot_object = next(o for o in objects if o.type == ROBOT)
         self._box = next(o for o in objects if o.type == BOX)
         blocks = [o for o in objects if o.type == BLOCK]
-        estimator = SceneEstimator(rig, segmenter=segmenter)
-        fittings = [o for o in objects if o.type in (LID, DRAWER)]
+        estimator = SceneEstimator(rig, catalogue_of(rig, furnished=bool(fittings)), segmenter)
         self.belief = Belief(self._robot_object, self._box, blocks, rig, estimator, fittings)
         self._held: Object | None = None
         self._trace, self._fittings = HandTrace(), fittings
@@ -233,7 +235,7 @@ class DeployedWorld:
         self._measure()
 
     def perceive(self) -> State:
-        """Scan, unless the only news since the last look is that the hand closed on a block it had seen, alone."""
+        """Scan, unless the only news since the last look is that the hand closed on a thing it had seen, alone."""
         features = self._features()
         if self.scans:
             believed = self.belief.state(features)
@@ -258,7 +260,8 @@ class DeployedWorld:
             looks += 1
             state, error, changed = self._take_in(frames, True, changed)
         self.scans += 1
-        if error is not None and self.scans == 1:
+        if error is not None and not known_names(state).issuperset(error.names):
+            # Whoever plans would have to leave it out, or to make it up.
             raise error
         # What was seen before and is out of sight now keeps its old place; the plan may still go on.
         self.missing = error.names if error else ()
@@ -312,12 +315,12 @@ class DeployedWorld:
         """Configurations for another look: at what atoms in doubt speak of, what is seen badly, or what is missing."""
         doubtful = objects_in(self._abstraction.doubtful(state)) if self._abstraction else ()
         # First what a plan may hang on.
-        places = [state.get(o, "x", "y") for o in doubtful if o.type == BLOCK and o != self.belief.held]
+        no_help = {*self.belief.in_hand, *(o for o in doubtful if o.name in self.belief.report.covered)}
+        places = [state.get(o, "x", "y") for o in doubtful if o.type in LOOKED_AT and o not in no_help]
         places += self.belief.unclear_places()
         different = [p for i, p in enumerate(places) if all(np.linalg.norm(p - q) > SAME_SIGHT for q in places[:i])]
         configurations = [q for place in different[:MOST_PLACES] for q in self.scan.towards(place)]
-        known = {o.name for o in state.objects}
-        if error is not None and not known.issuperset(error.names):
+        if error is not None and not known_names(state).issuperset(error.names):
             # What nobody has ever seen may be anywhere.
             configurations += self.scan.configurations
         return configurations
@@ -355,6 +358,11 @@ class OracleWorld(DeployedWorld):
 
     def observe(self, live: bool = False) -> ArmObservation:
         return super().observe(live=True)
+
+
+def known_names(state: State) -> set[str]:
+    """Of the things that something is believed of."""
+    return {o.name for o in state.objects}
 
 
 def walled(state: State, box: Object) -> Obstacle:

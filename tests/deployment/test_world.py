@@ -24,15 +24,18 @@ from resync_robot.deployment.uncertain_atoms import SampledAbstraction
 from resync_robot.deployment.world import MORE_LOOKS, DeployedWorld, OracleWorld, walled
 from resync_robot.hardware.base import ProtectiveStopError
 from resync_robot.hardware.sim import SimRobot
+from resync_robot.perception.belief import ScanReport
 from resync_robot.perception.catalogue import Catalogue
 from resync_robot.perception.naming import MissingObjectsError
 from resync_robot.perception.scan import Scan
 from resync_robot.planning.abstract import Abstraction
+from resync_robot.sim_training.domains.cornered_insertion_l.domain import CORNERED_INSERTION_L
 from resync_robot.sim_training.physics.world import SimWorld
 from tests import scenes
 from tests.perception.raycast import FLOOR, Table
 
 RIG = load_rig()
+FURNISHED_TASK = CORNERED_INSERTION_L.scenario("l0").sample(np.random.default_rng(0), 0)
 
 
 def _silent(*args: object) -> None:
@@ -351,3 +354,39 @@ def test_a_box_that_was_pushed_is_looked_at_whole(monkeypatch: pytest.MonkeyPatc
     after = seen.world.perceive()
     assert len(seen.eye.asked) == 2 + ROUND
     assert after.get(scenes.THE_BOX, "x") == pytest.approx(before.get(scenes.THE_BOX, "x"), abs=0.002)
+
+
+def test_no_look_is_spent_on_what_a_lid_covers(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = looking(monkeypatch, 0.0003).world
+    true = scenes.scene({"b0": (0.0, 0.0)}).initial
+    state = State({o: true[o] for o in true.objects}, {scenes.B0: np.eye(10) * 1e-6})
+    assert world._where_to_look(state, None)
+    world.belief.report = ScanReport(covered=("b0",))
+    assert not world._where_to_look(state, None)
+
+
+def test_what_nobody_has_ever_seen_ends_the_episode_at_a_later_scan_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = looking(monkeypatch).world
+    true = scenes.scene({"b0": (0.0, 0.0)}).initial
+    monkeypatch.setattr(world, "scan", lambda *args: [])
+    monkeypatch.setattr(world, "_where_to_look", lambda state, error: [])
+    for missing in ("b1", "b0"):
+        error = MissingObjectsError((missing,), ())
+        monkeypatch.setattr(world, "_take_in", lambda frames, again, changed, error=error: (true, error, None))
+        world.scans = 3
+        if missing == "b1":
+            with pytest.raises(MissingObjectsError, match="did not find b1"):
+                world._look_around()
+        else:
+            assert world._look_around() is true and world.missing == ("b0",), "it keeps its old place"
+
+
+def test_a_round_shows_what_a_task_has_on_the_table() -> None:
+    worlds_of = []
+    for task in (scenes.scene({"b0": (0.0, 0.0)}), FURNISHED_TASK):
+        robot = SimRobot(SimWorld(task, RIG))
+        robot.connect()
+        worlds_of.append(DeployedWorld(robot, {}, RIG, task.objects))
+    small, furnished = worlds_of
+    assert len(small.scan.configurations) == ROUND < len(furnished.scan.configurations)
+    assert set(furnished.belief._estimator.catalogue.hues) > set(small.belief._estimator.catalogue.hues)

@@ -19,7 +19,7 @@ from resync_robot.perception.catalogue import Catalogue
 from resync_robot.perception.fittings import FittingEstimate
 from resync_robot.perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError
 from resync_robot.perception.objects import SceneEstimate, SceneEstimator
-from resync_robot.perception.outline import Votes, grid, least_seen_edge, outward_of_rectangle
+from resync_robot.perception.outline import Votes, grid, outward_of_rectangle, seen_edges
 from resync_robot.perception.scan import Scan
 from resync_robot.sim_training.physics.camera_noise import NoisySensor
 from tests.perception.raycast import CENTRE, FLOOR, INNER, RIM, Table
@@ -213,7 +213,7 @@ def test_an_edge_is_seen_as_far_as_what_lies_outside_it_is(yaw: float, edge: int
 
     def least(unseen: np.ndarray) -> float:
         votes = Votes(cells, np.zeros(len(cells)), np.where(unseen, 0.0, 1.0), 1)
-        return least_seen_edge(votes, (centre, yaw, extents), within)
+        return float(seen_edges(votes, (centre, yaw, extents), within).min())
 
     assert least(beyond > within + 1e-6) == 1
     assert least(beyond > within / 2) == pytest.approx(0.5, abs=0.2)

@@ -85,5 +85,5 @@ def test_what_the_failed_skill_needs_is_brought_about_first(skill: str, others: 
     simulator = context.embodiment.simulate(task)
     assert simulator.reset(task.initial)
     assert (judge.needs <= context.model.abstraction.true_atoms(simulator.perceive())) == (skill == "Fetch")
-    assert judge.makes_ready(simulator, context.model)
+    judge.makes_ready(simulator, context.model, task)
     assert judge.needs <= context.model.abstraction.true_atoms(simulator.perceive())
