@@ -31,8 +31,20 @@ FINGER_SPEED = 0.12
 """m/s of opening or closing."""
 
 
+SLIPPED = 0.006
+"""m by which pads come closer together that what they held has left."""
+
+
 class Blocked(Exception):
     """A guard stopped a motion; the message says which. Caught by the skill that moved."""
+
+    ending = SkillEnd.BLOCKED
+
+
+class Dropped(Blocked):
+    """What the hand held is not between the pads any more."""
+
+    ending = SkillEnd.DROPPED
 
 
 @dataclass
@@ -84,6 +96,7 @@ class Hand:
         self.yaw = float(np.arctan2(tip[1, 0], tip[0, 0]))
         # Not where a block stopped the pads: commanded that, they would let go of it.
         self.opening = first.commanded_opening
+        self._held_apart: float | None = None
 
     @staticmethod
     def rotation(yaw: float) -> np.ndarray:
@@ -126,6 +139,7 @@ class Hand:
 
         Raises:
             Blocked: the tip strayed, or more than `max_force` N pushed against it (beyond what it felt at the start).
+            Dropped: what the hand held has left it.
         """
         begin, goal = self.position.copy(), np.array([x, y, z], dtype=np.float64)
         yaw_begin, turn = self.yaw, self._turn(yaw)
@@ -176,8 +190,13 @@ class Hand:
         yield from self.retreat(z, speed)
         self.stray = stray
 
+    def hold(self) -> None:
+        """From now on, until the fingers are moved, something is between the pads, and motions end once it is not."""
+        self._held_apart = self.last.opening
+
     def open(self, opening: float) -> Step:
         """Open or close to `opening` m at the gripper's speed."""
+        self._held_apart = None
         opening = self._within(opening)
         steps = max(1, int(np.ceil(abs(opening - self.opening) / FINGER_SPEED / self.period)))
         begin = self.opening
@@ -204,6 +223,10 @@ class Hand:
         return self.rig.tip_pose(self.last.arm)[:3, 3].copy()
 
     def _guard(self, at_rest: np.ndarray, max_force: float, behind: float = 0.0) -> None:
+        if self._held_apart is not None and self.last.opening < self._held_apart - SLIPPED:
+            # It is said once; what the hand does about it is no matter of holding any more.
+            self._held_apart = None
+            raise Dropped("what was held has left the hand")
         away = float(np.linalg.norm(self.tip() - self.position))
         if away > self.stray + behind:
             raise Blocked(f"the tip is held {1000 * away:.0f} mm from where it was sent")

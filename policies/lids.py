@@ -13,7 +13,7 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, LID, ROBOT
 from resync_robot.core.world import ArmObservation
-from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
+from resync_robot.policies.cartesian import Blocked, Dropped, Hand, Motion, run_motion
 from resync_robot.policies.fittings import in_a_way, knob_top
 from resync_robot.policies.grasp import finger_clearance, travel_height
 from resync_robot.policies.placing import Places
@@ -82,7 +82,7 @@ def _remove(
         yield from reach_down(hand, tip, yaw, opening, above, s)
     except Blocked as blocked:
         yield from hand.back_off(above, s.approach_speed)
-        return SkillOutcome(SkillEnd.BLOCKED, f"descending to the knob of {lid}: {blocked}")
+        return SkillOutcome(blocked.ending, f"descending to the knob of {lid}: {blocked}")
     yield from hand.close(width - s.squeeze)
     places = _places(state, lid, hand, tip[2] - z + thickness / 2, carrying, of_lids)
     refused = None
@@ -95,11 +95,12 @@ def _remove(
         yield from hand.open(opening)
         yield from hand.back_off(above, s.approach_speed)
         return refused
+    hand.hold()
     try:
         yield from hand.move(x, y, carrying, yaw, s.approach_speed)
     except Blocked as blocked:
         yield from hand.open(opening)
-        return SkillOutcome(SkillEnd.BLOCKED, f"lifting {lid}: {blocked}")
+        return SkillOutcome(blocked.ending, f"lifting {lid}: {blocked}")
     return (yield from _put_down(hand, lid, places[: s.places], opening, carrying, s, of_lids))
 
 
@@ -118,13 +119,13 @@ def _put_down(
     for tip in places:
         try:
             yield from bring_over(hand, tip, yaw, carrying, s)
+        except Dropped as dropped:
+            yield from hand.back_off(carrying, s.approach_speed)
+            return SkillOutcome(dropped.ending, f"carrying {lid}: {dropped}")
         except Blocked as blocked:
             reason = str(blocked)
             yield from hand.back_off(carrying, s.approach_speed)
             continue
-        if hand.last.opening < fittings.LID.knob[0] - of_lids.slipped:
-            yield from hand.back_off(carrying, s.approach_speed)
-            return SkillOutcome(SkillEnd.BLOCKED, f"{lid} slipped out of the hand")
         return (yield from stand_down(hand, tip, lid, opening, carrying, s))
     return SkillOutcome(SkillEnd.BLOCKED, f"putting {lid} down: {reason}")
 

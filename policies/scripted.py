@@ -17,11 +17,13 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.core.world import ArmObservation
-from resync_robot.policies.cartesian import Blocked, Hand, Motion, Step, run_motion
+from resync_robot.policies.cartesian import Blocked, Dropped, Hand, Motion, Step, run_motion
 from resync_robot.policies.grasp import best_approach, best_yaw, carried_with, travel_height
 from resync_robot.policies.placing import Places, free_places
 
 RATE_HZ = 50.0
+GRASPED = 0.008
+"""m by which the pads may stand wider or narrower than a block is believed to be that they hold."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,13 +98,15 @@ def pick_up(hand: Hand, state: State, block: Object, tip_z: float, s: ScriptedSe
         yield from reach_down(hand, np.array([x, y, tip_z]), yaw, opening, above, s)
     except Blocked as blocked:
         yield from hand.back_off(above, s.approach_speed)
-        return SkillOutcome(SkillEnd.BLOCKED, f"descending to {block}: {blocked}")
+        return SkillOutcome(blocked.ending, f"descending to {block}: {blocked}")
     yield from hand.close(width - s.squeeze)
+    if abs(hand.last.opening - width) <= GRASPED:
+        hand.hold()
     try:
         yield from hand.move(x, y, above, yaw, s.approach_speed)
     except Blocked as blocked:
-        return SkillOutcome(SkillEnd.BLOCKED, f"lifting {block}: {blocked}")
-    if abs(hand.last.opening - width) > 0.008:
+        return SkillOutcome(blocked.ending, f"lifting {block}: {blocked}")
+    if abs(hand.last.opening - width) > GRASPED:
         gap = 1000 * hand.last.opening
         yield from hand.open(opening)
         return SkillOutcome(SkillEnd.BLOCKED, f"the pads are {gap:.0f} mm apart, not on {block}")
@@ -124,6 +128,7 @@ def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scr
     tip_T_held = pose_in_hand(state, robot, held)
     if tip_T_held is None:
         return SkillOutcome(SkillEnd.REFUSED, f"{held} is not in the hand")
+    hand.hold()
     width = float(state.get(held, "size_x", "size_y").max())
     x, y, z, base_height = state.get(base, "x", "y", "z", "size_z")
     seated = z + (base_height + state.get(held, "size_z")[0]) / 2
@@ -147,7 +152,7 @@ def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scr
         yield from hand.move(goal_x, goal_y, goal_z + 0.016, yaw, s.contact_speed, max_force=s.seat_force)
     except Blocked as blocked:
         yield from back_off()
-        return SkillOutcome(SkillEnd.BLOCKED, f"over {base}: {blocked}")
+        return SkillOutcome(blocked.ending, f"over {base}: {blocked}")
     try:
         yield from hand.move(goal_x, goal_y, goal_z - 0.001, yaw, s.seat_speed, max_force=s.seat_force)
     except Blocked:
@@ -157,7 +162,7 @@ def _insert(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scr
     try:
         yield from hand.move(goal_x, goal_y, above, yaw, s.approach_speed)
     except Blocked as blocked:
-        return SkillOutcome(SkillEnd.BLOCKED, f"leaving {base}: {blocked}")
+        return SkillOutcome(blocked.ending, f"leaving {base}: {blocked}")
     return SkillOutcome(SkillEnd.DONE)
 
 
@@ -168,6 +173,7 @@ def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scri
     tip_T_held = pose_in_hand(state, robot, held)
     if tip_T_held is None:
         return SkillOutcome(SkillEnd.REFUSED, f"{held} is not in the hand")
+    hand.hold()
     carried = carried_with(state, held)
     width = float(state.get(held, "size_x", "size_y").max())
     above = travel_height(state, carried=held)
@@ -180,6 +186,9 @@ def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scri
     for tip in (place + block_to_tip for place in places[: s.places]):
         try:
             yield from bring_over(hand, tip, hand.yaw, above, s)
+        except Dropped as dropped:
+            yield from hand.back_off(above, s.approach_speed)
+            return SkillOutcome(dropped.ending, f"carrying {held}: {dropped}")
         except Blocked as blocked:
             reason = str(blocked)
             yield from hand.back_off(above, s.approach_speed)
@@ -208,7 +217,7 @@ def stand_down(hand: Hand, tip: np.ndarray, held: Object, opening: float, above:
     try:
         yield from hand.move(x, y, above, hand.yaw, s.approach_speed)
     except Blocked as blocked:
-        return SkillOutcome(SkillEnd.BLOCKED, f"leaving {held}: {blocked}")
+        return SkillOutcome(blocked.ending, f"leaving {held}: {blocked}")
     return SkillOutcome(SkillEnd.DONE)
 
 

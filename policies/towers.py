@@ -75,6 +75,7 @@ def _place_tower(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s
     tip_T_held = pose_in_hand(state, robot, lower)
     if tip_T_held is None or upper not in carried_with(state, lower):
         return SkillOutcome(SkillEnd.REFUSED, f"{upper} on {lower} is not in the hand")
+    hand.hold()
     width, height = float(state.get(lower, "size_x", "size_y").max()), float(state.get(lower, "size_z")[0])
     # The pads close across the drawer, where there is most room for them.
     yaw = hand.yaw + float(spatial.wrap(heading(state, drawer) - hand.yaw, np.pi))
@@ -84,7 +85,7 @@ def _place_tower(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s
         yield from bring_over(hand, tip, yaw, above, s)
     except Blocked as blocked:
         yield from hand.back_off(above, s.approach_speed)
-        return SkillOutcome(SkillEnd.BLOCKED, f"over {drawer}: {blocked}")
+        return SkillOutcome(blocked.ending, f"over {drawer}: {blocked}")
     return (yield from stand_down(hand, tip, lower, width + 2 * s.release_clearance, above, s))
 
 

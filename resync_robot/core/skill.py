@@ -19,6 +19,8 @@ class SkillEnd(Enum):
     """Its terminal function beta fired."""
     BLOCKED = "blocked"
     """A guard saw the tip stray or an unexpected force."""
+    DROPPED = "dropped"
+    """What the hand held has left it on the way."""
     UNREACHABLE = "unreachable"
     """No arm configuration reaches what it wanted."""
     REFUSED = "refused"

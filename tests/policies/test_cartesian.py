@@ -16,7 +16,7 @@ from resync_robot.core import spatial
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import SkillEnd, SkillOutcome
-from resync_robot.policies.cartesian import GIVE_IN_STEP, Blocked, Hand, run_motion
+from resync_robot.policies.cartesian import GIVE_IN_STEP, Blocked, Dropped, Hand, run_motion
 from tests import scenes
 from tests.policies.followers import RIG, Follower
 
@@ -217,3 +217,33 @@ def test_a_hand_knows_its_yaw_from_the_arm() -> None:
     np.testing.assert_allclose(
         spatial.rotation_vector(Hand.rotation(0.7).T @ RIG.tip_pose(world.arm)[:3, :3]), 0, atol=1e-6
     )
+
+
+def test_a_motion_ends_once_what_the_hand_held_has_left_it() -> None:
+    world = Follower(SCENE, between=0.05)
+    hand = hand_of(world)
+    follow(world, hand, hand.close(0.03))
+    hand.hold()
+    follow(world, hand, hand.move(0.45, 0.1, 0.3, hand.yaw, 0.25))
+    assert np.allclose(hand.tip(), [0.45, 0.1, 0.3]), "as long as it is there it goes on"
+    with pytest.raises(Dropped, match="left the hand"):
+        moving = hand.move(0.45, -0.1, 0.3, hand.yaw, 0.25)
+        target = next(moving)
+        for i in range(400):
+            world.between = 0.0 if i > 10 else 0.05
+            world.act(target, PERIOD)
+            target = moving.send(world.observe())
+    assert hand.tip()[1] > 0.0, "soon"
+    follow(world, hand, hand.back_off(0.35, 0.1))
+    assert hand.tip()[2] == pytest.approx(0.35, abs=1e-6), "what comes next is no matter of holding"
+
+
+def test_fingers_that_are_moved_hold_nothing_any_more() -> None:
+    world = Follower(SCENE, between=0.05)
+    hand = hand_of(world)
+    follow(world, hand, hand.close(0.03))
+    hand.hold()
+    world.between = 0.0
+    follow(world, hand, hand.open(0.02))
+    follow(world, hand, hand.move(0.45, 0.1, 0.3, hand.yaw, 0.25))
+    assert np.allclose(hand.tip(), [0.45, 0.1, 0.3])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.symbols import Object
@@ -106,6 +107,26 @@ def test_nothing_is_inserted_on_a_cornered_block() -> None:
     outcome = run(world, "Insert", B0, B1)
     assert not on(world.perceive(), (B0, B1))
     assert outcome.ending is SkillEnd.BLOCKED and "b1" in outcome.reason
+
+
+class Slippery(SimWorld):
+    """A world in which the block leaves the hand as soon as it is over the other one."""
+
+    def act(self, target: JointTarget, duration: float) -> None:
+        if np.linalg.norm(self.perceive().get(B0, "x", "y") - self.perceive().get(B1, "x", "y")) < 0.05:
+            self.place(B0, np.array([0.45, 0.45, 0.03, 1.0, 0.0, 0.0, 0.0]))
+        super().act(target, duration)
+
+
+def test_a_block_that_is_lost_on_the_way_ends_the_skill_at_once() -> None:
+    world = build(FREE, kind=Slippery)
+    assert run(world, "Pick", B0).done
+    outcome = run(world, "Insert", B0, B1)
+    assert outcome.ending is SkillEnd.DROPPED and "left the hand" in outcome.reason
+    state = world.perceive()
+    assert hand_empty(state, (R,)) and state.get(R, "z")[0] > scenes.FLOOR + scenes.RIM, (
+        "and the hand is out of the way"
+    )
 
 
 class Misled(SimWorld):
