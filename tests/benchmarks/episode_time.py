@@ -150,7 +150,7 @@ def main() -> None:
             spent.update(rows[-1]["spent"])
             print(json.dumps({k: v for k, v in rows[-1].items() if k != "spent"}), flush=True)
             if args.json:
-                args.json.write_text(json.dumps(rows))
+                args.json.write_text(json.dumps(rows), encoding="utf-8")
     for what, seconds in spent.most_common():
         print(f"{what}: {seconds / len(rows):.2f} s an episode")
     for what in ("seconds", "cpu", "scans", "pictures", "parts"):
