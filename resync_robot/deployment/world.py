@@ -124,6 +124,7 @@ class DeployedWorld:
         estimator = SceneEstimator(rig, catalogue_of(rig, furnished=bool(fittings)), segmenter)
         self.belief = Belief(self._robot_object, self._box, blocks, rig, estimator, fittings)
         self._held: Object | None = None
+        self._let_go: Object | None = None
         self._trace, self._fittings = HandTrace(), fittings
         self.scans = 0
         self.missing: tuple[str, ...] = ()
@@ -240,6 +241,7 @@ class DeployedWorld:
         if self.scans:
             believed = self.belief.state(features)
             before, self._held = self._held, self.belief.held
+            self._let_go = before if before != self._held else None
             if before is None and self._held is not None and self.belief.grasp_is_certain:
                 return believed
         try:
@@ -285,6 +287,9 @@ class DeployedWorld:
             return None, None
         state = self.belief.state(self._features())
         changed = self._trace.touched(state)
+        if self._let_go is not None and self._let_go not in changed:
+            # It fell out of the hand on the way, and lies nobody knows where.
+            return None, None
         places = [last, *(state.get(b, "x", "y") for b in changed if b != self.belief.held)]
         different = [p for i, p in enumerate(places) if all(np.linalg.norm(p - q) > SAME_SIGHT for q in places[:i])]
         begin, holding = self.stream.target.arm, self.belief.held is not None

@@ -332,6 +332,19 @@ def test_after_a_skill_only_what_the_hand_may_have_moved_is_looked_at(monkeypatc
     assert seen.world.perceive()[scenes.B0] == pytest.approx(after[scenes.B0])
 
 
+@pytest.mark.parametrize(("held", "everywhere"), [(None, False), (scenes.B0, True)])
+def test_what_fell_out_of_the_hand_on_the_way_is_looked_for_everywhere(
+    monkeypatch: pytest.MonkeyPatch, held: Object | None, everywhere: bool
+) -> None:
+    """The hand was low somewhere else, and the block was in it at the last look."""
+    seen = looking(monkeypatch)
+    seen.world.perceive()
+    stir(seen, monkeypatch, 0.46, 0.35)
+    seen.world._held, seen.eye.asked = held, []
+    seen.world.perceive()
+    assert (len(seen.eye.asked) >= ROUND) == everywhere
+
+
 @pytest.mark.slow
 def test_what_is_not_where_the_hand_may_have_left_it_is_looked_for_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = looking(monkeypatch)
