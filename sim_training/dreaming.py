@@ -25,8 +25,9 @@ from resync_robot.core.task import Domain, Task
 from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.learning.dataset import ATTEMPT
 from resync_robot.learning.failures import FailureModel, place_beside
-from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill, what_was_done
+from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute
 from resync_robot.planning.outcome_costs import JitteredCosts
+from resync_robot.planning.skill_run import run_skill, what_was_done
 from resync_robot.sim_training.recovery_problem import brought_about
 from resync_robot.sim_training.wandering import wander
 

@@ -16,8 +16,9 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Domain, Task
 from resync_robot.learning.failures import spread_beside
-from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute, run_skill
+from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute
 from resync_robot.planning.outcome_costs import JitteredCosts
+from resync_robot.planning.skill_run import run_skill
 
 LATELY = 5
 """Last moments of an attempt with contacts that count, and moments without any after which earlier ones do not: what

@@ -15,7 +15,7 @@ from resync_robot.core.errors import TrainingError
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.core.world import EffortLimited
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.recovery_problem import Problem, Start
 
 

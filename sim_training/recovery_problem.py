@@ -18,7 +18,8 @@ from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import World
 from resync_robot.learning.failures import lies_beside, place_beside
 from resync_robot.learning.relational_view import RelationalView
-from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
+from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute
+from resync_robot.planning.skill_run import looks, run_skill
 from resync_robot.sim_training.failure_mining import Explanation
 
 AS_BEFORE = ExecuteSettings(max_skills=4, max_failures=1)
@@ -86,9 +87,9 @@ class Judge:
 
     def _succeeds(self, simulator: TrainingSimulator[Any, Any]) -> bool:
         if self.plan_with is None:
-            run_skill(simulator, self.failed)
-        else:
-            plan_and_execute(simulator, self.plan_with, self.effects, AS_BEFORE)
+            after = looks(simulator, run_skill(simulator, self.failed))
+            return any(self.effects <= self.true_atoms(state) for state in after)
+        plan_and_execute(simulator, self.plan_with, self.effects, AS_BEFORE)
         return self.effects <= self.true_atoms(simulator.perceive())
 
 

@@ -17,8 +17,9 @@ from resync_robot.core.symbols import Atoms
 from resync_robot.core.task import Task
 from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import World
-from resync_robot.planning.execute import Model, run_skill
+from resync_robot.planning.execute import Model
 from resync_robot.planning.search import ground_all
+from resync_robot.planning.skill_run import looks, run_skill
 
 LONGEST = 4
 """Skills in a wandering at most."""
@@ -57,10 +58,12 @@ def wander(
             ground, wanted = model.skill(step.name).ground(step.objects), step.add
         else:
             break
-        finished = run_skill(world, ground).done
-        after = world.perceive()
-        atoms = model.abstraction.true_atoms(after)
-        if not finished or not wanted <= atoms:
+        outcome = run_skill(world, ground)
+        for after in looks(world, outcome):
+            atoms = model.abstraction.true_atoms(after)
+            if wanted <= atoms:
+                break
+        if not outcome.done or not wanted <= atoms:
             break
         done.append(Transition(before, ground.name, ground.objects, after, True))
         before = after

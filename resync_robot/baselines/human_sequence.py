@@ -13,7 +13,8 @@ from resync_robot.core.symbols import Atoms, Object
 from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import World
 from resync_robot.planning.atom_beliefs import AtomBeliefs
-from resync_robot.planning.execute import EpisodeEnd, EpisodeResult, Listener, Model, run_skill
+from resync_robot.planning.execute import EpisodeEnd, EpisodeResult, Listener, Model
+from resync_robot.planning.skill_run import run_skill
 
 Expert = Callable[[State, Atoms], tuple[tuple[str, tuple[Object, ...]], ...]]
 """(the state as first perceived, goal) -> (skill name, objects) in order; a domain's `expert`."""

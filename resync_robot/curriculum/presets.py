@@ -25,10 +25,15 @@ class StagePreset:
     dreams: int = 200
     """Of the first stage; twice as many for each further one, which has more combinations to tell apart."""
     attempts: int = 600
+    """Single attempts of the failed skill, with its causes anywhere between before and after the recovery."""
 
     def dreams_of(self, stage: int) -> int:
         """For the stage of that number, from 1."""
         return int(self.dreams * 2 ** (stage - 1))
+
+    def attempts_of(self, explained: bool) -> int:
+        """Of a stage whose recovery is known already or not: half are enough where no success model is to be shaped."""
+        return self.attempts // 2 if explained else self.attempts
 
 
 STAGE_PRESETS = {

@@ -24,7 +24,7 @@ from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.failures import PairGaussian, changed_features, fit_beside
 from resync_robot.learning.learned_recovery import FIELDS, SURE, LearnedRecovery
 from resync_robot.learning.terminals import Terminal
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.device_env import open_on_device, scaled_to_device
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import Explanation

@@ -10,19 +10,20 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Protocol
+from typing import Protocol
 
-from resync_robot.core.errors import InterruptedMotionError, PlanningError, UnknownNameError
+from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.skill import GroundSkill, Skill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator
 from resync_robot.core.trajectory import Transition
-from resync_robot.core.world import EffortLimited, Observation, World
+from resync_robot.core.world import World
 from resync_robot.planning.abstract import HOLDS, Abstraction
 from resync_robot.planning.atom_beliefs import AtomBeliefs, BeliefSettings
 from resync_robot.planning.effect_hypotheses import plan_or_suppose, with_relaxed_recoveries
 from resync_robot.planning.outcome_costs import OutcomeCosts
 from resync_robot.planning.search import Plan, plan
+from resync_robot.planning.skill_run import SkillListener, looks, run_for, run_skill, what_was_done
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class EpisodeResult:
         return self.end is EpisodeEnd.GOAL
 
 
-class Listener:
+class Listener(SkillListener):
     """Hears what happens; recorders override what they need."""
 
     def on_perceived(self, state: State, atoms: Mapping[Atom, float]) -> None: ...
@@ -96,12 +97,6 @@ class Listener:
     def on_plan(self, plan: Plan, reason: str) -> None: ...
 
     def on_step_of_plan(self, index: int) -> None: ...
-
-    def on_skill_start(self, skill: GroundSkill) -> None: ...
-
-    def on_control(self, observation: Observation, action: Any) -> None: ...
-
-    def on_skill_end(self, skill: GroundSkill, outcome: SkillOutcome) -> None: ...
 
     def on_effects_missing(self, step: GroundOperator) -> None:
         """What was perceived after the step says that it did not do what it should, whatever its skill said."""
@@ -305,18 +300,28 @@ class _Episode:
         """Run a step, look, and learn from the outcome; also whether its effects came true."""
         before, ground = self.state, self._model.skill(step.name).ground(step.objects)
         outcome = self._run(ground)
-        self.state = self._world.perceive()
-        shares = self._model.abstraction.shares(self.state)
         done, well = what_was_done(ground, outcome)
         if done != ground and (other := self._operator(done)) is not None:
             # A recovery that nothing called for: what it mends works, so what that needs is there.
-            well = self.beliefs.attempted(other, SkillOutcome(SkillEnd.DONE), shares)
+            mended = SkillOutcome(SkillEnd.DONE)
+            well = self.beliefs.attempted(other, mended, self._seen_after(other, mended))
             came_true = step.add <= self.beliefs.certain()
         else:
-            well = came_true = self.beliefs.attempted(step, outcome, shares)
+            well = came_true = self.beliefs.attempted(step, outcome, self._seen_after(step, outcome))
         self._looked()
         self._transitions.append(Transition(before, done.name, done.objects, self.state, well))
         return outcome, came_true
+
+    def _seen_after(self, step: GroundOperator, outcome: SkillOutcome) -> dict[Atom, float]:
+        """Look, and again as long as the skill's word and the sight of given atoms disagree. Of learned ones beliefs
+        weigh the word against the classifier."""
+        seen: dict[Atom, float] = {}
+        for state in looks(self._world, outcome):
+            self.state, seen = state, self._model.abstraction.shares(state)
+            given = {a: share > HOLDS for a, share in seen.items() if a.predicate.name not in self._model.learned}
+            if all(given.get(a, True) for a in step.add) and not any(given.get(a, False) for a in step.delete):
+                break
+        return seen
 
     def _operator(self, ground: GroundSkill) -> GroundOperator | None:
         lifted = next((op for op in self._model.operators if op.name == ground.name), None)
@@ -333,19 +338,15 @@ class _Episode:
 
     def _run(self, ground: GroundSkill) -> SkillOutcome:
         horizon = self._settings.horizon
-        outcome, steps = _run(self._world, ground, self._listener, None if horizon is None else horizon - self._steps)
+        outcome, steps = run_for(
+            self._world, ground, self._listener, None if horizon is None else horizon - self._steps
+        )
         self._steps += steps
         return outcome
 
     def ended(self, end: EpisodeEnd, why: str = "") -> EpisodeResult:
         self._listener.on_end(end, why)
         return EpisodeResult(end, why, tuple(self._transitions), tuple(self._plans), self.state, self._steps)
-
-
-def what_was_done(ground: GroundSkill, outcome: SkillOutcome) -> tuple[GroundSkill, bool]:
-    """What a run of a skill was a run of, and whether that is done: a recovery that nothing calls for is a successful
-    run of what it mends."""
-    return (ground.first, True) if outcome.ending is SkillEnd.NEEDLESS else (ground, outcome.done)
 
 
 def begin_after(
@@ -368,46 +369,3 @@ def begin_after(
     return all(
         run_skill(world, model.skill(name).ground(tuple(named[o] for o in of)), listener).done for name, of in steps
     )
-
-
-def run_skill(world: World, ground: GroundSkill, listener: Listener | None = None) -> SkillOutcome:
-    """Run one ground skill to its end or its time limit.
-
-    The limit counts control steps: a robot that runs at a fraction of full speed stretches them on its own clock, and
-    a skill is not to fail for that.
-    """
-    return _run(world, ground, listener or Listener())[0]
-
-
-def _run(world: World, ground: GroundSkill, listener: Listener, most: int | None = None) -> tuple[SkillOutcome, int]:
-    """`run_skill` with at most so many control steps; also how many there were."""
-    skill = ground.skill
-    listener.on_skill_start(ground)
-    arm = world if isinstance(world, EffortLimited) else None
-    if arm is not None:
-        arm.limit_effort(skill.effort_limit)
-    observation = world.observe(skill.live_state)
-    policy = skill.start(ground.objects, observation)
-    steps = 0
-    while True:
-        answer = policy.step(observation)
-        if isinstance(answer, SkillOutcome):
-            break
-        if most is not None and steps >= most:
-            answer = SkillOutcome(SkillEnd.TIMEOUT, "the episode's horizon is reached")
-            break
-        listener.on_control(observation, answer)
-        try:
-            world.act(answer, 1.0 / skill.rate_hz)
-        except InterruptedMotionError as error:
-            answer = SkillOutcome(SkillEnd.BLOCKED, error.what)
-            break
-        steps += 1
-        observation = world.observe(skill.live_state)
-        if steps > skill.time_limit_s * skill.rate_hz:
-            answer = SkillOutcome(SkillEnd.TIMEOUT, f"not done after {skill.time_limit_s:.0f} s")
-            break
-    if arm is not None:
-        arm.limit_effort(None)
-    listener.on_skill_end(ground, answer)
-    return answer, steps

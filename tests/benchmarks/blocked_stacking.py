@@ -21,7 +21,8 @@ from PIL import Image
 
 from resync_robot.core.task import Task
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute, run_skill
+from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.domains.blocked_stacking.layouts import UNSEEN, USUAL, Layout
 from resync_robot.sim_training.failure_mining import FailedAttempt, attempt

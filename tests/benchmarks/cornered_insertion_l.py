@@ -17,7 +17,8 @@ from resync_robot.core.intervals import wilson
 from resync_robot.core.rig import load_rig
 from resync_robot.core.task import Task
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute, run_skill
+from resync_robot.planning.execute import ExecuteSettings, Model, plan_and_execute
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.policies.given_skills import given_skills
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.domains.cornered_insertion_l.domain import tower

@@ -26,7 +26,8 @@ from resync_robot.deployment.devices import open_simulated
 from resync_robot.deployment.world import DeployedWorld
 from resync_robot.hardware.base import RobotError
 from resync_robot.library_models import camera_recovery, learned_model
-from resync_robot.planning.execute import Model, run_skill
+from resync_robot.planning.execute import Model
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.demonstrations.starts import draw_start
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.parallel import parallel_map

@@ -18,7 +18,8 @@ from resync_robot.core.embodiment import TrainingSimulator
 from resync_robot.core.skill import GroundSkill, Skill
 from resync_robot.core.task import Task
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute, run_skill
+from resync_robot.planning.execute import ExecuteSettings, Listener, Model, plan_and_execute
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.domains.icy_transport import ICY_TRANSPORT
 from resync_robot.sim_training.failure_mining import explain, mine_stage
 from resync_robot.sim_training.learn_recovery import learn_recovery

@@ -24,7 +24,7 @@ from resync_robot.core.skill import SkillEnd
 from resync_robot.core.state import State
 from resync_robot.core.task import Task
 from resync_robot.core.world import ArmObservation
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.policies.scripted import scripted_skills
 from resync_robot.sim_training.domains.cornered_insertion_s.domain import ON, on
 from resync_robot.sim_training.domains.cornered_insertion_s.layouts import Layout, sample_task

@@ -19,7 +19,7 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.library_models import initial_model
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.physics.solver import REFERENCE, SHIPPED, Solver, with_solver
 from resync_robot.sim_training.physics.world import SimWorld

@@ -15,7 +15,7 @@ from resync_robot.curriculum.context import Known
 from resync_robot.curriculum.mine import FAILURES, Mined, mine
 from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.stage_folder import StageFolder
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.domains import find_domain
 
 PUCKS = str(Path(__file__).parents[2] / "docs" / "puck_behind_a_door.py")

@@ -15,7 +15,7 @@ from resync_robot.learning.learned_recovery import PATIENCE, LearnedRecovery
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.relational_view import view_size
 from resync_robot.learning.terminals import Terminal
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.domains import world_task
 from tests.pucks import DOMAIN, DOOR, PUCK, ROBOT
 

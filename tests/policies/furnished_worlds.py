@@ -6,7 +6,7 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import SkillOutcome
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.policies.drawers import drawer_skills
 from resync_robot.policies.lids import lid_skills
 from resync_robot.policies.scripted import scripted_skills

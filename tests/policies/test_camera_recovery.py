@@ -15,7 +15,7 @@ from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.world import ArmObservation, Cutout, Ready, Window, awaited
 from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS, Prediction
 from resync_robot.learning.recovery_policy import LOWEST_TIP
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.policies.camera_recovery import MonitorSettings, camera_recovery_skill
 from resync_robot.policies.grasp import travel_height
 from resync_robot.policies.state_recovery import RecoverySkillSettings

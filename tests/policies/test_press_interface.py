@@ -8,7 +8,7 @@ import torch
 
 from resync_robot.core.rig import load_rig
 from resync_robot.learning.recovery_policy import STEP, observe, project
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.policies.press_interface import PressInterface, PressVariety
 from resync_robot.sim_training.physics.world import SimWorld
 from tests import scenes

@@ -15,7 +15,8 @@ from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.core.world import ArmObservation
-from resync_robot.planning.execute import Listener, run_skill
+from resync_robot.planning.execute import Listener
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.policies.scripted import ScriptedSettings, scripted_skills
 from resync_robot.sim_training.domains.cornered_insertion_s.domain import hand_empty, holding, on
 from resync_robot.sim_training.physics.parts import CHAMFER, CLEARANCE

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.learning.recovery_policy import LOWEST_TIP, OBSERVATION_SIZE, STEP
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.policies.grasp import travel_height
 from resync_robot.policies.scripted import scripted_skills
 from resync_robot.policies.state_recovery import (

@@ -12,7 +12,8 @@ from resync_robot.core.errors import TrainingError
 from resync_robot.core.task import Domain
 from resync_robot.learning.relational_view import RelationalView
 from resync_robot.planning.abstract import Abstraction
-from resync_robot.planning.execute import Model, run_skill
+from resync_robot.planning.execute import Model
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.failure_mining import FailedAttempt, explain, mine_stage
 from resync_robot.sim_training.learn_recovery import Learned, RecoverySettings, learn_recovery

@@ -8,7 +8,8 @@ import pytest
 from resync_robot.core.skill import SkillEnd
 from resync_robot.core.symbols import Type
 from resync_robot.core.task import Task
-from resync_robot.planning.execute import ExecuteSettings, plan_and_execute, run_skill
+from resync_robot.planning.execute import ExecuteSettings, plan_and_execute
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.domains.blocked_stacking.domain import OBSTRUCTED
 from resync_robot.sim_training.domains.blocked_stacking.layouts import BASE, TOP, UNSEEN, USUAL, Layout
 from resync_robot.sim_training.domains.blocked_stacking.layouts import ROBOT_NAME as R

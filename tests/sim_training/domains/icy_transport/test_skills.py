@@ -5,7 +5,7 @@ import pytest
 
 from resync_robot.core.skill import SkillEnd, SkillOutcome
 from resync_robot.core.task import Task
-from resync_robot.planning.execute import run_skill
+from resync_robot.planning.skill_run import run_skill
 from resync_robot.sim_training.domains.icy_transport.layouts import O1, O2, ROBOT, TARGET, draw
 from resync_robot.sim_training.domains.icy_transport.simulator import Floor
 from resync_robot.sim_training.domains.icy_transport.skills import caught_in, skills
