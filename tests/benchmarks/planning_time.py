@@ -42,8 +42,9 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=20)
     args = parser.parse_args()
     torch.set_num_threads(1)
-    domain = find_domain("cornered-insertion-s")
-    model = learned_model(domain, load_rig(), load_library(args.library or shipped_library(domain.name)))
+    library = load_library(args.library or shipped_library("cornered-insertion-s"))
+    domain = find_domain(library.domain)
+    model = learned_model(domain, load_rig(), library)
     look = with_sampled_atoms(model).abstraction
     print(
         "| scenario | objects | grounding ms, median / p95 | by camera, each look | planning ms, median / p95 | steps |"
