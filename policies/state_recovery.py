@@ -27,6 +27,8 @@ from resync_robot.policies.tip_over_guard import TipOverGuard, press_on
 RATE_HZ = 50.0
 DECISION_STEPS = 5
 """Control steps between two decisions of the policy: 10 Hz, as it was trained."""
+NOISE = 0.25
+"""Standard deviation of the actions that PPO tried towards its end, in those of [-1, 1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +38,9 @@ class RecoverySkillSettings:
     travel_speed: float = 0.25
     approach_speed: float = 0.10
     max_decisions: int = 150
+    patience: int = 75
+    """Decisions, more than nearly any run takes that gets there. After them the policy is followed with the noise that
+    it was trained with: without it, what leads nowhere is done again and again, in this run and in the next."""
     sure: float = 0.5
     """Probability of beta at which it is done, where the record names none."""
     effort_limit: tuple[float, ...] = (40.0, 40.0, 40.0, 12.0, 12.0, 12.0)
@@ -94,14 +99,18 @@ def _recover(
         if refused is not None:
             return refused
         finished, guard = False, TipOverGuard()
-        for _ in range(s.max_decisions):
+        noise = torch.Generator().manual_seed(round(1000 * first.time))
+        for decision in range(s.max_decisions):
             projected = project(hand.last.state, robot, block, box, hand.position)
             with torch.no_grad():
                 seen = observe(projected)
                 if float(done(seen)) > s.sure:
                     finished = True
                     break
-                goal = commanded_tip(projected, act(seen))[0].double().numpy()
+                action = act(seen)
+                if decision >= s.patience:
+                    action = action + NOISE * torch.randn(action.shape, generator=noise)
+                goal = commanded_tip(projected, action)[0].double().numpy()
             yield from press_on(hand, goal, DECISION_STEPS, guard)
         yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
     except Blocked as blocked:

@@ -285,7 +285,7 @@ def _that_exclude_failures(columns: Sequence[Column], config: OperatorConfig) ->
         shares = [0.0]
         for of in stages:
             gone, there = (left & of & ~column.failed).sum(), (left & of).sum()
-            if there and gone >= 0.05 * of.sum():
+            if there and gone >= max(0.05 * of.sum(), MIN_EXPLAINED):
                 shares.append(float(gone / there))
         return max(shares)
 

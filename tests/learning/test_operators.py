@@ -7,7 +7,14 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Predicate, Variable
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.learning.dataset import Dataset, Run, Step
-from resync_robot.learning.operators import Column, OperatorConfig, learn_operator, lifted_atoms, swept
+from resync_robot.learning.operators import (
+    MIN_EXPLAINED,
+    Column,
+    OperatorConfig,
+    learn_operator,
+    lifted_atoms,
+    swept,
+)
 
 R, B0, B1 = Variable("?r", ROBOT), Variable("?b0", BLOCK), Variable("?b1", BLOCK)
 EMPTY, FREE, WET = Predicate("Empty", (ROBOT,)), Predicate("Free", (BLOCK,)), Predicate("Wet", (BLOCK,))
@@ -69,11 +76,19 @@ def test_a_learned_condition_must_tell_failures_from_successes() -> None:
 
 
 def test_a_second_condition_must_explain_what_the_first_does_not() -> None:
-    free = column(FREE(B0), [1] * 20, failed=[0] * 8 + [1] * 4)
-    same = column(WET(B0), [1] * 20, failed=[0] * 7 + [1] * 5)
-    other = column(FREE(B1), [1] * 20, failed=[1] * 8 + [0] * 4)
+    free = column(FREE(B0), [1] * 20, failed=[0] * 8 + [1] * 5)
+    same = column(WET(B0), [1] * 20, failed=[0] * 7 + [1] * 6)
+    other = column(FREE(B1), [1] * 20, failed=[1] * 8 + [0] * 5)
     op = learn_operator("Op", (R, B0, B1), [same, free, other], OperatorConfig())
     assert op is not None and op.preconditions == {FREE(B0), FREE(B1)}
+
+
+@pytest.mark.parametrize("handful", range(1, MIN_EXPLAINED + 1))
+def test_a_handful_of_failures_makes_no_condition(handful: int) -> None:
+    """Two towers that broke had a third block on them, and nobody had ever tried to lift three."""
+    free = column(FREE(B0), [1] * 300, failed=[0] * handful)
+    op = learn_operator("Op", (R, B0), [free], OperatorConfig())
+    assert op is not None and bool(op.preconditions) is (handful >= MIN_EXPLAINED)
 
 
 def test_each_stage_has_failures_of_its_own_to_explain() -> None:

@@ -32,9 +32,14 @@ SCENE = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).i
 SETTINGS = RecoverySkillSettings(max_decisions=6)
 
 
-def run(act: Callable[[Tensor], Tensor], done: Callable[[Tensor], Tensor]) -> tuple[SkillOutcome, Follower]:
-    world = Follower(SCENE)
-    skill = skill_from("Recover", act, done, RIG, SETTINGS)
+def run(
+    act: Callable[[Tensor], Tensor],
+    done: Callable[[Tensor], Tensor],
+    settings: RecoverySkillSettings = SETTINGS,
+    begun: float = 0.0,
+) -> tuple[SkillOutcome, Follower]:
+    world = Follower(SCENE, time=begun)
+    skill = skill_from("Recover", act, done, RIG, settings)
     return run_skill(world, skill.ground((R, B0, THE_BOX))), world
 
 
@@ -72,6 +77,19 @@ def test_without_beta_it_gives_up_after_its_decisions() -> None:
     outcome, world = run(still, never)
     assert outcome.ending is SkillEnd.TIMEOUT and "b0" in outcome.reason
     assert world.tips[-1][2] >= travel_height(SCENE, None) - 1e-3
+
+
+def test_a_policy_that_leads_nowhere_is_followed_with_noise_other_noise_each_time() -> None:
+    """Else it would stand still in the same place until it gives up, in each attempt anew."""
+    patient = RecoverySkillSettings(max_decisions=12, patience=6)
+    impatient = [run(still, never, patient, begun)[1].tips for begun in (0.0, 5.0)]
+    calm = run(still, never, RecoverySkillSettings(max_decisions=12))[1].tips
+    begins = next(i for i, (a, b) in enumerate(zip(impatient[0], calm, strict=False)) if not np.allclose(a, b))
+    # Half of the decisions, and the way up, are behind the first one with noise.
+    assert begins >= len(calm) - 12 * DECISION_STEPS - 120
+    wandered = np.ptp(np.array(impatient[0][begins : begins + 6 * DECISION_STEPS]), axis=0)
+    assert np.all(wandered > 0.001)
+    assert any(not np.allclose(a, b) for a, b in zip(*impatient, strict=False))
 
 
 def test_with_something_between_the_pads_it_refuses_and_stays_where_it_is() -> None:

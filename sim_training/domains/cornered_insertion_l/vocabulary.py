@@ -28,8 +28,9 @@ LID_OFF = Predicate("LidOff", ())
 DRAWER_OPEN = Predicate("DrawerOpen", (DRAWER,))
 DRAWER_CLOSED = Predicate("DrawerClosed", (DRAWER,))
 IN = Predicate("In", (BLOCK, DRAWER))
+OUTSIDE = Predicate("Outside", (BLOCK,))
 
-PREDICATES = (HAND_EMPTY, HOLDING, HOLDING_TOWER, ON, LID_ON, LID_OFF, DRAWER_OPEN, DRAWER_CLOSED, IN)
+PREDICATES = (HAND_EMPTY, HOLDING, HOLDING_TOWER, ON, LID_ON, LID_OFF, DRAWER_OPEN, DRAWER_CLOSED, IN, OUTSIDE)
 
 
 def holding_tower(state: State, objects: tuple[Object, ...]) -> float:
@@ -83,14 +84,25 @@ def drawer_closed(state: State, objects: tuple[Object, ...]) -> float:
 def in_drawer(state: State, objects: tuple[Object, ...]) -> float:
     """Does the block stand on the floor of the drawer? What stands on it is in the drawer with it."""
     block, drawer = objects
-    front_T_block = spatial.inverse(spatial.pose_from_features(state[drawer][:7])) @ spatial.pose_from_features(
-        state[block][:7]
-    )
-    behind, beside = -front_T_block[0, 3] - state.get(drawer, "size_x")[0] / 2, abs(front_T_block[1, 3])
     z, height = state.get(block, "z", "size_z")
+    upright = spatial.pose_from_features(state[block][:7])[2, 2] > 0.95
+    stands = abs(z - height / 2 - fittings.DRAWER.floor) < ON_THE_FLOOR and upright
+    return float(stands and _over_tray(state, block, drawer))
+
+
+def _over_tray(state: State, block: Object, drawer: Object) -> bool:
+    """Is its middle, seen from above, within the walls of the drawer?"""
+    x, y, *_ = spatial.apply(
+        spatial.inverse(spatial.pose_from_features(state[drawer][:7])), state[block][None, :3].astype(np.float64)
+    )[0]
     deep, wide, _ = fittings.DRAWER.tray
-    stands = abs(z - height / 2 - fittings.DRAWER.floor) < ON_THE_FLOOR and front_T_block[2, 2] > 0.95
-    return float(stands and 0 < behind < deep and beside < wide / 2)
+    behind = -x - state.get(drawer, "size_x")[0] / 2
+    return bool(0 < behind < deep and abs(y) < wide / 2)
+
+
+def outside(state: State, objects: tuple[Object, ...]) -> float:
+    """Is the block in no drawer, be it on another block? Hand and fingers reach into none for a single block."""
+    return 1.0 - any(_over_tray(state, objects[0], drawer) for drawer in state.of_type(DRAWER))
 
 
 CLASSIFIERS = {
@@ -103,6 +115,7 @@ CLASSIFIERS = {
     "DrawerOpen": drawer_open,
     "DrawerClosed": drawer_closed,
     "In": in_drawer,
+    "Outside": outside,
 }
 
 _r, _l, _d = Variable("?r", ROBOT), Variable("?l", LID), Variable("?d", DRAWER)
@@ -117,11 +130,17 @@ OPERATORS = (
         frozenset({_UNCOVERED}),
         frozenset({LID_ON(_l)}),
     ),
-    Operator("Pick", (_r, _b), frozenset({_EMPTY, _UNCOVERED}), frozenset({HOLDING(_r, _b)}), frozenset({_EMPTY})),
+    Operator(
+        "Pick",
+        (_r, _b),
+        frozenset({_EMPTY, _UNCOVERED, OUTSIDE(_b)}),
+        frozenset({HOLDING(_r, _b)}),
+        frozenset({_EMPTY}),
+    ),
     Operator(
         "Insert",
         (_r, _b0, _b1),
-        frozenset({HOLDING(_r, _b0), _UNCOVERED}),
+        frozenset({HOLDING(_r, _b0), _UNCOVERED, OUTSIDE(_b1)}),
         frozenset({ON(_b0, _b1), _EMPTY}),
         frozenset({HOLDING(_r, _b0)}),
     ),
@@ -136,7 +155,7 @@ OPERATORS = (
     Operator(
         "PickTower",
         (_r, _b0, _b1),
-        frozenset({_EMPTY, ON(_b0, _b1), _UNCOVERED}),
+        frozenset({_EMPTY, ON(_b0, _b1), _UNCOVERED, OUTSIDE(_b1)}),
         frozenset({HOLDING(_r, _b1), HOLDING_TOWER(_r, _b0, _b1)}),
         frozenset({_EMPTY}),
     ),
@@ -145,7 +164,7 @@ OPERATORS = (
         (_r, _b0, _b1, _d),
         frozenset({HOLDING(_r, _b1), HOLDING_TOWER(_r, _b0, _b1), DRAWER_OPEN(_d)}),
         frozenset({IN(_b1, _d), _EMPTY}),
-        frozenset({HOLDING(_r, _b1), HOLDING_TOWER(_r, _b0, _b1)}),
+        frozenset({HOLDING(_r, _b1), HOLDING_TOWER(_r, _b0, _b1), OUTSIDE(_b0), OUTSIDE(_b1)}),
     ),
     Operator(
         "CloseDrawer",

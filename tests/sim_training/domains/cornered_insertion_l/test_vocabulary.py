@@ -22,6 +22,7 @@ from resync_robot.sim_training.domains.cornered_insertion_l.vocabulary import (
     in_drawer,
     lid_off,
     lid_on,
+    outside,
 )
 from tests import furnished_scenes as furnished
 from tests import scenes
@@ -83,6 +84,18 @@ def test_what_does_not_stand_on_the_floor_of_a_drawer_is_not_in_it(change: dict[
     if "qx" in change:
         moved |= {"qw": 0.0, "qy": 0.0}
     assert not in_drawer(state.with_features(B0, **moved), (B0, THE_DRAWER))
+
+
+def test_all_of_a_tower_in_a_drawer_is_inside_and_out_of_reach_of_what_handles_single_blocks() -> None:
+    state = furnished.in_tray(furnished.furnished(STACKED, drawer=OPENED), "b0", "b1").initial
+    assert not outside(state, (B0,)) and not outside(state, (B1,))
+    stacked = furnished.furnished(STACKED).initial
+    assert outside(stacked, (B0,)) and outside(stacked, (B1,))
+    by_name = {o.name: o for o in DOMAIN.operators}
+    for step in (("Pick", (R, B1)), ("Insert", (R, B0, B1)), ("PickTower", (R, B1, B0))):
+        needs = by_name[step[0]].ground(step[1]).preconditions
+        assert {a for a in needs if a.predicate.name == "Outside"} - GIVEN.true_atoms(state), step
+        assert not {a for a in needs if a.predicate.name == "Outside"} - GIVEN.true_atoms(stacked), step
 
 
 def holding(state: State, block: object, opening: float) -> State:
