@@ -45,6 +45,7 @@ class RecoverySettings:
             least_steps=20_000,
             stop_at=0.97,
             plateau=80_000,
+            restart=150_000,
             minibatch=256,
             std_end=0.1,
             anneal_steps=80_000,

@@ -39,6 +39,9 @@ class PpoSettings:
     """Control steps, from then on, in which that rate has risen by less than a hundredth, after which training ends,
     too, if that rate is half of `stop_at` or more; 0: never. Through the noise of exploration some recoveries never
     reach `stop_at`, and some begin late to succeed at all."""
+    restart: int = 0
+    """Control steps in which that rate has never come to half of `stop_at`, after which the policy begins anew with
+    other weights; 0: never. Where only few ways lead to success, some weights never find one."""
     epochs: int = 4
     minibatch: int = 512
     learning_rate: float = 3e-4
@@ -98,7 +101,7 @@ def train_policy(
     Returns:
         The learning curve: steps, success rate, mean return and seconds.
     """
-    optimiser = torch.optim.Adam(net.parameters(), lr=settings.learning_rate, eps=1e-5)
+    optimiser = _optimiser(net, settings)
     curve: dict[str, list[float]] = {"steps": [], "success": [], "return": [], "seconds": []}
     done_steps, spent = 0, 0.0
     if checkpoint.exists():
@@ -118,7 +121,7 @@ def train_policy(
             fraction = min(1.0, (done_steps - _found(curve, settings, done_steps)) / settings.anneal_steps)
             std = settings.std_begin + fraction * (settings.std_end - settings.std_begin)
             batch = _collect(env, net, std, settings, random, finished, returns, running_return, done_steps == 0)
-            remaining = 1.0 - done_steps / settings.total_steps
+            remaining = 1.0 - (done_steps - _begun(curve, settings)) / settings.total_steps
             for group in optimiser.param_groups:
                 group["lr"] = settings.learning_rate * max(0.1, remaining)
             _update(net, optimiser, batch, std, settings, random)
@@ -130,12 +133,31 @@ def train_policy(
             ):
                 curve[key].append(float(value))
             progress(done_steps, settings.total_steps, rate)
+            if _begun(curve, settings) == done_steps:
+                net.begin_anew(seed + done_steps)
+                optimiser = _optimiser(net, settings)
+                finished.clear()
+                _save(checkpoint, net, optimiser, curve)
             if len(curve["steps"]) % 20 == 0:
                 _save(checkpoint, net, optimiser, curve)
             full = len(finished) == finished.maxlen and done_steps >= settings.least_steps
             enough = full and (rate >= settings.stop_at or has_plateaued(curve, settings))
     _save(checkpoint, net, optimiser, curve)
     return curve
+
+
+def _optimiser(net: ActorCritic, s: PpoSettings) -> torch.optim.Adam:
+    return torch.optim.Adam(net.parameters(), lr=s.learning_rate, eps=1e-5)
+
+
+def _begun(curve: Mapping[str, Sequence[float]], s: PpoSettings) -> float:
+    """Steps at which the policy last began anew; 0 where it never did."""
+    begun, best = 0.0, 0.0
+    for steps, rate in zip(curve["steps"], curve["success"], strict=True):
+        best = max(best, rate)
+        if s.restart and best < s.stop_at / 2 and steps - begun >= s.restart:
+            begun, best = steps, 0.0
+    return begun
 
 
 def _found(curve: Mapping[str, Sequence[float]], s: PpoSettings, now: int) -> float:

@@ -167,6 +167,14 @@ class ActorCritic(nn.Module):
         self.critic = _mlp(observations, width, depth, 1, 1.0)
         self.shape = {"width": width, "depth": depth, "observations": observations, "actions": actions}
 
+    def begin_anew(self, seed: int) -> None:
+        """Other weights, as if nothing had been learned yet; the normaliser stays."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            fresh = ActorCritic(**self.shape)
+        self.actor.load_state_dict(fresh.actor.state_dict())
+        self.critic.load_state_dict(fresh.critic.state_dict())
+
     def normalise(self, observation: Tensor) -> Tensor:
         return ((observation - self.mean) / self.scale).clamp(-8, 8)
 

@@ -83,6 +83,24 @@ def test_progress_and_curve_tell_every_update(tmp_path: Path) -> None:
     assert all(0 <= rate <= 1 for rate in curve["success"])
 
 
+def test_a_policy_that_finds_nothing_begins_anew_and_one_that_does_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[int] = []
+    anew = ActorCritic.begin_anew
+    monkeypatch.setattr(ActorCritic, "begin_anew", lambda net, seed: (begun.append(seed), anew(net, seed))[1])
+    lasting = {"total_steps": 96, "restart": 32, "learning_rate": 0.0}
+    net, curve, _ = run(tmp_path / "a.safetensors", seed=5, stop_at=10.0, **lasting)
+    assert begun == [5 + 32, 5 + 64, 5 + 96] and curve["steps"] == [16, 32, 48, 64, 80, 96]
+    fresh = ActorCritic(16, 1, 2, 2)
+    anew(fresh, 5 + 96)
+    assert torch.equal(net.actor[0].weight, fresh.actor[0].weight)
+    begun.clear()
+    run(tmp_path / "b.safetensors", seed=5, stop_at=0.0, **{**lasting, "least_steps": 1000})
+    run(tmp_path / "c.safetensors", seed=5, stop_at=10.0, **{**lasting, "restart": 0})
+    assert begun == []
+
+
 def test_a_checkpoint_is_gone_on_from(tmp_path: Path) -> None:
     path = tmp_path / "ppo.safetensors"
     half, curve, _ = run(path, total_steps=32)
