@@ -38,7 +38,7 @@ from resync_robot.perception.naming import (
     name_blocks,
 )
 from resync_robot.perception.objects import SceneEstimate, SceneEstimator, hues_of
-from resync_robot.perception.pose import BoxEstimate, inside_box
+from resync_robot.perception.pose import BoxEstimate, covers, inside_box
 
 CLEAR = {BLOCK: 0.0012, LID: 0.004, DRAWER: 0.004}
 """m, of x or y: up to which the place of a thing that was seen is known well enough for the skills."""
@@ -139,9 +139,9 @@ class Belief:
             PerceptionError: pictures that cannot be used, or no box; nothing is changed.
         """
         box = None
-        if changed is not None:
+        if changed is not None and self._box not in changed:
             known = self._known[self._box]
-            box = BoxEstimate(known.features, known.covariance)
+            box = BoxEstimate(known.features, known.covariance, seen=not known.is_guess)
         return self.update(self._estimator.estimate(frames, box), robot_features, again, changed)
 
     def update(
@@ -163,11 +163,13 @@ class Belief:
         scene, ambiguous = name_blocks(
             scene, self._estimator.catalogue.look_alikes, [b.name for b in self._blocks], in_hand, places
         )
-        if changed is None:
+        if changed is None or self._box in changed:
             self._take_box(scene.box)
         unchanged = self._as_before(scene, changed)
         seen = [b for b in self._blocks if b.name in scene.blocks and b not in unchanged]
-        fitted = [o for o in self._fittings if o.name in scene.fittings and not self._is_held(o, scene)]
+        fitted = [
+            o for o in self._fittings if o.name in scene.fittings and o not in unchanged and not self._is_held(o, scene)
+        ]
         if self.held in (*seen, *fitted):
             self._grasp.correct(self._known, seen, robot_features)
         self._grasp.left_behind(seen)
@@ -255,9 +257,9 @@ class Belief:
 
     def _lid_is_on(self) -> bool:
         """Does a lid lie on the box?"""
-        box, table = self._known[self._box].features, self._estimator.catalogue.table_z
+        box, catalogue = self._known[self._box].features, self._estimator.catalogue
         lids = [self._known[o].features for o in self._fittings if o.type == LID and o in self._known]
-        return any(underside(lid) > table + LIFTED and inside_box(lid[:2], box) for lid in lids)
+        return any(covers(lid, box, catalogue) for lid in lids)
 
     def _lose(self, missing: Sequence[str], ambiguous: Mapping[str, np.ndarray]) -> None:
         """What should have been seen keeps its old place, roughly; what only had to be somewhere has none."""
@@ -280,12 +282,13 @@ class Belief:
             raise unsettled[0] if len(unsettled) == 1 else UnsettledSceneError.of(unsettled)
 
     def _as_before(self, scene: SceneEstimate, changed: Collection[Object] | None) -> list[Object]:
-        """What is known and has not changed, as far as the pictures tell: what they show elsewhere has."""
+        """What was seen before and has not changed, as far as the pictures tell: what they show elsewhere has."""
         if changed is None:
             return []
         seen = {name: estimate.features[:2] for name, estimate in scene.blocks.items()}
         seen |= {name: estimate.features[:2] for name, estimate in scene.fittings.items()}
-        unchanged = [o for o in (*self._blocks, *self._fittings) if o in self._known and o not in changed]
+        before = [o for o in (*self._blocks, *self._fittings) if o in self._known and not self._known[o].is_guess]
+        unchanged = [o for o in before if o not in changed]
         return [
             o
             for o in unchanged

@@ -121,6 +121,8 @@ class SceneEstimator:
             if beneath is None:
                 raise
             return beneath, views, fittings
+        if not box.seen:
+            return box, views, estimate_fittings(views, self.catalogue)
         aligned = [align_to_box(v, box.features, self.catalogue, c) for v, c in zip(views, cameras, strict=True)]
         if known is not None:
             _check_place(views, aligned)

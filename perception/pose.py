@@ -39,6 +39,8 @@ class ViewSigma:
     yaw: float
 
 
+OFF_THE_TABLE = 0.020
+"""m above the table of the underside of a lid that lies on something."""
 LID_OFF, LID_ASKEW = 0.008, 0.04
 """Of the middle of a box (m) and its yaw (rad) against those of the lid that covers all of its inside."""
 BOX_SIGMA = ViewSigma(place=0.00095, yaw=0.0042)
@@ -149,6 +151,11 @@ def box_under(lid: Float[np.ndarray, "10"], catalogue: Catalogue) -> BoxEstimate
     covariance[7, 7] = covariance[8, 8] = np.ptp(catalogue.box_inner) ** 2 / 12
     covariance[9, 9] = HEIGHT_SIGMA**2
     return BoxEstimate(features, covariance, seen=False)
+
+
+def covers(lid: Float[np.ndarray, "10"], box: Float[np.ndarray, "11"], catalogue: Catalogue) -> bool:
+    """Does a lid with these features lie on a box with those?"""
+    return bool(lid[2] - lid[9] / 2 > catalogue.table_z + OFF_THE_TABLE) and inside_box(lid[:2], box)
 
 
 def inside_box(xy: Float[np.ndarray, "2"], box: Float[np.ndarray, "11"]) -> bool:

@@ -129,17 +129,19 @@ class Scan:
         found = (self.close_by(place, first + turn) for turn in (0.0, np.pi / 2, -np.pi / 2, np.pi / 4, -np.pi / 4))
         return list(islice((q for q in found if q is not None), count))
 
-    def close_by(self, place: Float[np.ndarray, "2"], yaw: float) -> Float[np.ndarray, "6"] | None:
-        """The configuration that puts a place of the table into the middle of the picture, from the side at `yaw` rad
-        about the world's z; None where the arm does not reach."""
-        x, y = place + self._ahead(CLOSE_TIP_HEIGHT) * np.array([np.cos(yaw), np.sin(yaw)])
+    def close_by(
+        self, place: Float[np.ndarray, "2"], yaw: float, tip_height: float = CLOSE_TIP_HEIGHT, above: float = 0.0
+    ) -> Float[np.ndarray, "6"] | None:
+        """The configuration that puts a place `above` the table (m) into the middle of the picture, from the side at
+        `yaw` rad about the world's z; None where the arm does not reach."""
+        x, y = place + self._ahead(tip_height - above) * np.array([np.cos(yaw), np.sin(yaw)])
         try:
-            return self._plan([Viewpoint((float(x), float(y)), CLOSE_TIP_HEIGHT, yaw)])[0]
+            return self._plan([Viewpoint((float(x), float(y)), tip_height, yaw)])[0]
         except MotionError:
             return None
 
     def _ahead(self, tip_height: float) -> float:
-        """How far in front of the camera, seen from above, its optical axis meets the table, m."""
+        """How far in front of the camera its optical axis meets what the tips are so high above, m seen from above."""
         flange_T_cam = self.camera.pose
         down, forth = flange_T_cam[2, 2], -flange_T_cam[0, 2]
         height = tip_height + self._rig.gripper.tip_offset - flange_T_cam[2, 3]

@@ -22,6 +22,7 @@ from resync_robot.core.symbols import Atom, Object
 from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID, ROBOT
 from resync_robot.core.world import ArmObservation, CameraFrame, Cutout, Ready, Window, awaited
 from resync_robot.deployment.hand_trace import HandTrace
+from resync_robot.deployment.next_look import Chooser, Look, apart
 from resync_robot.deployment.uncertain_atoms import SampledAbstraction, objects_in
 from resync_robot.hardware.base import Camera, Motions, ProtectiveStopError, Robot, RobotState, WindowedCamera
 from resync_robot.hardware.clearance import Obstacle
@@ -30,7 +31,6 @@ from resync_robot.hardware.stream import Stream
 from resync_robot.perception.belief import Belief
 from resync_robot.perception.crop import cut_out
 from resync_robot.perception.naming import UnsettledSceneError
-from resync_robot.perception.next_views import next_views
 from resync_robot.perception.objects import SceneEstimator, catalogue_of
 from resync_robot.perception.scan import Scan, viewpoints_for
 from resync_robot.perception.segment import Segmenter
@@ -45,8 +45,6 @@ MOST_PLACES = 3
 """Of one such look."""
 LOOKED_AT = (BLOCK, LID, DRAWER)
 """Types of the things that are looked at again where an atom in doubt speaks of them."""
-SAME_SIGHT = 0.05
-"""m within which a look at one place shows the other."""
 
 
 class Witness(Protocol):
@@ -118,14 +116,16 @@ class DeployedWorld:
         self.stream: Motions = Stream(robot, rig) if stream is None else stream
         fittings = [o for o in objects if o.type in (LID, DRAWER)]
         self.scan = Scan(rig, viewpoints_for([o.type for o in objects]))
+        catalogue = catalogue_of(rig, furnished=bool(fittings))
+        self._choose = Chooser(self.scan, rig, catalogue)
         self._robot_object = next(o for o in objects if o.type == ROBOT)
         self._box = next(o for o in objects if o.type == BOX)
         blocks = [o for o in objects if o.type == BLOCK]
-        estimator = SceneEstimator(rig, catalogue_of(rig, furnished=bool(fittings)), segmenter)
+        estimator = SceneEstimator(rig, catalogue, segmenter)
         self.belief = Belief(self._robot_object, self._box, blocks, rig, estimator, fittings)
         self._held: Object | None = None
-        self._let_go: Object | None = None
-        self._trace, self._fittings = HandTrace(), fittings
+        self._trace = HandTrace()
+        self._before: State | None = None
         self.scans = 0
         self.missing: tuple[str, ...] = ()
         self._base_T_world = spatial.inverse(rig.arm.world_T_base)
@@ -203,7 +203,7 @@ class DeployedWorld:
 
     def act(self, target: JointTarget, duration: float) -> None:
         looked, self._looked = self._looked, []
-        self._trace.follow(self.rig.tip_pose(target.arm)[:3, 3])
+        self._trace.follow(self.rig.tip_pose(target.arm)[:3, 3], self.belief.in_hand)
         try:
             self.stream.run(target, duration)
         except ProtectiveStopError as error:
@@ -241,7 +241,6 @@ class DeployedWorld:
         if self.scans:
             believed = self.belief.state(features)
             before, self._held = self._held, self.belief.held
-            self._let_go = before if before != self._held else None
             if before is None and self._held is not None and self.belief.grasp_is_certain:
                 return believed
         try:
@@ -254,9 +253,9 @@ class DeployedWorld:
         """A round of pictures, or a few of what the hand may have moved, then more of what is in doubt; all of them
         together make the estimate."""
         self._lift()
-        looks, (changed, views) = 1, self._what_changed()
-        frames = self.scan(self._travel, self._capture, views)
-        state, error, changed = self._take_in(frames, False, changed)
+        looks, look = 1, self._next_look()
+        frames = self.scan(self._travel, self._capture, look.views if look else None)
+        state, error, changed = self._take_in(frames, False, look.changed if look else None)
         while looks <= MORE_LOOKS and (again := self._where_to_look(state, error)):
             frames += self.scan(self._travel, self._capture, again)
             looks += 1
@@ -267,7 +266,7 @@ class DeployedWorld:
             raise error
         # What was seen before and is out of sight now keeps its old place; the plan may still go on.
         self.missing = error.names if error else ()
-        self._held = self.belief.held
+        self._held, self._before = self.belief.held, state
         self._trace.clear()
         self.stream.keep_out(walled(state, self._box))
         if self._witness:
@@ -280,21 +279,13 @@ class DeployedWorld:
                 self._witness.on_doubt(doubtful, looks)
         return state
 
-    def _what_changed(self) -> tuple[Sequence[Object] | None, list[np.ndarray] | None]:
-        """The blocks that may stand elsewhere than at the last scan, and configurations that show where they do now;
-        None and None where everything is to be looked at."""
-        if not self.scans or self.missing or self._fittings or (last := self._trace.last) is None:
-            return None, None
-        state = self.belief.state(self._features())
-        changed = self._trace.touched(state)
-        if self._let_go is not None and self._let_go not in changed:
-            # It fell out of the hand on the way, and lies nobody knows where.
-            return None, None
-        places = [last, *(state.get(b, "x", "y") for b in changed if b != self.belief.held)]
-        different = [p for i, p in enumerate(places) if all(np.linalg.norm(p - q) > SAME_SIGHT for q in places[:i])]
-        begin, holding = self.stream.target.arm, self.belief.held is not None
-        views = next_views(self.scan, self.rig, different, state[self._box], begin, holding)
-        return (changed, views) if 0 < len(views) < len(self.scan.configurations) else (None, None)
+    def _next_look(self) -> Look | None:
+        """A few pictures of what may be elsewhere than at the last scan; None where everything is to be looked at."""
+        if self._before is None or self.missing:
+            return None
+        state, covered = self.belief.state(self._features()), self.belief.report.covered
+        unseen = [o for o in state if o.name in covered]
+        return self._choose(self._trace, self._before, state, unseen, self.belief.in_hand, self.stream.target.arm)
 
     def _take_in(
         self, frames: list[CameraFrame], again: bool, changed: Sequence[Object] | None
@@ -323,8 +314,7 @@ class DeployedWorld:
         no_help = {*self.belief.in_hand, *(o for o in doubtful if o.name in self.belief.report.covered)}
         places = [state.get(o, "x", "y") for o in doubtful if o.type in LOOKED_AT and o not in no_help]
         places += self.belief.unclear_places()
-        different = [p for i, p in enumerate(places) if all(np.linalg.norm(p - q) > SAME_SIGHT for q in places[:i])]
-        configurations = [q for place in different[:MOST_PLACES] for q in self.scan.towards(place)]
+        configurations = [q for place in apart(places)[:MOST_PLACES] for q in self.scan.towards(place)]
         if error is not None and not known_names(state).issuperset(error.names):
             # What nobody has ever seen may be anywhere.
             configurations += self.scan.configurations

@@ -27,11 +27,12 @@ from resync_robot.hardware.sim import SimRobot
 from resync_robot.perception.belief import ScanReport
 from resync_robot.perception.catalogue import Catalogue
 from resync_robot.perception.naming import MissingObjectsError
+from resync_robot.perception.objects import catalogue_of
 from resync_robot.perception.scan import Scan
 from resync_robot.planning.abstract import Abstraction
 from resync_robot.sim_training.domains.cornered_insertion_l.domain import CORNERED_INSERTION_L
 from resync_robot.sim_training.physics.world import SimWorld
-from tests import scenes
+from tests import furnished_scenes, scenes
 from tests.perception.raycast import FLOOR, Table
 
 RIG = load_rig()
@@ -332,15 +333,45 @@ def test_after_a_skill_only_what_the_hand_may_have_moved_is_looked_at(monkeypatc
     assert seen.world.perceive()[scenes.B0] == pytest.approx(after[scenes.B0])
 
 
+def test_after_a_skill_of_a_drawer_only_the_drawer_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    catalogue = catalogue_of(RIG, furnished=True)
+    depth, thickness = catalogue.drawers["drawer"].cabinet[0], catalogue.drawers["drawer"].front[0]
+
+    def table(opening: float) -> Table:
+        drawn = Table(RIG, catalogue)
+        drawn.block("b0", 0.45, 0.05, FLOOR, 0.2, 0.060, 0.045)
+        drawn.lid("lid", 0.55, -0.46, 0.0, 0.0)
+        drawn.drawer("drawer", 0.61, 0.425, np.pi, opening)
+        return drawn
+
+    eye, task = Eye(table(0.0)), furnished_scenes.furnished({"b0": (0.0, 0.0)})
+    monkeypatch.setattr(worlds, "travel", lambda stream, q: eye.at.append(q))
+    robot = SimRobot(SimWorld(task, RIG))
+    robot.connect()
+    world = DeployedWorld(robot, {"wrist": eye}, RIG, task.objects)
+    before = world.perceive()
+    assert len(eye.asked) == len(world.scan.configurations)
+    seen = Looking(world, eye, [])
+    stir(seen, monkeypatch, 0.61 - depth / 2 - thickness - 0.07, 0.425)
+    eye.table, eye.asked = table(0.15), []
+    after = world.perceive()
+    assert len(eye.asked) == 2
+    assert after.get(furnished_scenes.THE_DRAWER, "opening")[0] == pytest.approx(0.15, abs=0.002)
+    for thing in (scenes.B0, scenes.THE_BOX, furnished_scenes.THE_LID):
+        assert np.array_equal(after[thing], before[thing])
+
+
 @pytest.mark.parametrize(("held", "everywhere"), [(None, False), (scenes.B0, True)])
 def test_what_fell_out_of_the_hand_on_the_way_is_looked_for_everywhere(
     monkeypatch: pytest.MonkeyPatch, held: Object | None, everywhere: bool
 ) -> None:
-    """The hand was low somewhere else, and the block was in it at the last look."""
+    """The hand was low somewhere else, and the block was in it on the way."""
     seen = looking(monkeypatch)
     seen.world.perceive()
     stir(seen, monkeypatch, 0.46, 0.35)
-    seen.world._held, seen.eye.asked = held, []
+    if held is not None:
+        seen.world._trace.follow(np.array([0.45, 0.05, 0.3]), [held])
+    seen.eye.asked = []
     seen.world.perceive()
     assert (len(seen.eye.asked) >= ROUND) == everywhere
 

@@ -14,12 +14,15 @@ from resync_robot.core.errors import ConfigError, UnknownNameError
 from resync_robot.core.fittings import Drawer, Lid
 from resync_robot.core.rig import Rig
 from resync_robot.core.vocabulary import BOX, DRAWER, LID, ROBOT
+from resync_robot.perception import sights
 from resync_robot.perception.belief import Belief
 from resync_robot.perception.catalogue import Catalogue
 from resync_robot.perception.fittings import FittingEstimate
 from resync_robot.perception.naming import AmbiguousObjectsError, MissingObjectsError, UnsettledSceneError
+from resync_robot.perception.next_views import next_views
 from resync_robot.perception.objects import SceneEstimate, SceneEstimator
 from resync_robot.perception.outline import Votes, grid, outward_of_rectangle, seen_edges
+from resync_robot.perception.scan import FURNISHED as ROUND
 from resync_robot.perception.scan import Scan
 from resync_robot.sim_training.physics.camera_noise import NoisySensor
 from tests.perception.raycast import CENTRE, FLOOR, INNER, RIM, Table
@@ -27,6 +30,7 @@ from tests.perception.raycast import CENTRE, FLOOR, INNER, RIM, Table
 COLOURS = {**Catalogue().hues, "lid": 0.80, "drawer": 0.48, "drawer_cabinet": 0.25}
 SMALL = {"drawer": Drawer(front=(0.012, 0.14, 0.060), cabinet=(0.10, 0.14, 0.070), travel=0.08)}
 FURNISHED = Catalogue(hues=COLOURS, lids={"lid": Lid(size=(0.33, 0.33, 0.012))}, drawers=SMALL)
+LARGE = Catalogue(hues=COLOURS)
 OBLONG = Catalogue(hues=COLOURS, lids={"lid": Lid(size=(0.20, 0.14, 0.010))}, drawers=SMALL)
 ROBOT_FEATURES = np.array([0.45, 0.0, 0.30, 0.0, 1.0, 0.0, 0.0, 0.14])
 
@@ -140,6 +144,31 @@ def test_a_drawer_that_reaches_out_of_the_pictures_is_not_guessed_and_another_lo
     drawer = scene.fittings["drawer"]
     assert drawer.features[:3] == pytest.approx(truth, abs=0.001) and not scene.seen_in_part
     assert drawer.features[7] == pytest.approx(opening, abs=0.001)
+
+
+@pytest.mark.parametrize("opening", [0.0, 0.15])
+def test_two_chosen_views_do_for_a_lid_and_two_for_a_drawer(rig: Rig, opening: float) -> None:
+    """The lid is believed 14 mm from where it is, the drawer closed."""
+    built, size = LARGE.drawers["drawer"], LARGE.lids["lid"].size
+    table, estimator = Table(rig, LARGE), SceneEstimator(rig, LARGE)
+    table.lid("lid", 0.55, -0.46, 0.0, 0.1)
+    table.drawer("drawer", 0.61, 0.425, np.pi, opening)
+    box = estimator.estimate(table.scan()).box
+    lid = np.array([0.56, -0.47, size[2] / 2, *spatial.quat_from_yaw(0.1), *size])
+    x, z = 0.61 - (built.cabinet[0] + built.front[0]) / 2, built.lift + built.front[2] / 2
+    closed = np.array([x, 0.425, z, *spatial.quat_from_yaw(np.pi), 0.0, *built.front])
+    looks = (
+        ("lid", sights.of_lid(lid), [0.55, -0.46]),
+        ("drawer", sights.of_drawer(closed, built), [x - opening, 0.425]),
+    )
+    for name, sight, true in looks:
+        solids = sights.cabinet_and_front(closed, built)
+        views = next_views(Scan(rig, ROUND), rig, [], box.features, rig.arm.home, False, [sight], solids)
+        assert len(views) == 2
+        found = estimator.estimate(table.scan(views), box).fittings[name]
+        assert found.features[:2] == pytest.approx(true, abs=0.0015)
+        if name == "drawer":
+            assert found.features[7] == pytest.approx(opening, abs=0.0015)
 
 
 def belief_of(rig: Rig) -> Belief:

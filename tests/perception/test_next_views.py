@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from resync_robot.core import spatial
+from resync_robot.core.fittings import DRAWER as BUILT
 from resync_robot.core.rig import Rig
-from resync_robot.perception.next_views import FROM_TWO_SIDES, next_views
-from resync_robot.perception.scan import LEAST_TIP_HEIGHT, Scan
+from resync_robot.perception import sights
+from resync_robot.perception.next_views import FROM_TWO_SIDES, SECOND_EYE, next_views
+from resync_robot.perception.scan import FURNISHED, LEAST_TIP_HEIGHT, Scan
+from tests.furnished_scenes import drawer_features, lid_features
 from tests.scenes import BOX_X, CORNER, INNER, box_features
 
 BOX = box_features()
@@ -18,6 +23,11 @@ CORNERS = [(BOX_X + i * CORNER, j * CORNER) for i in (-1, 1) for j in (-1, 1)]
 @pytest.fixture(scope="module")
 def scan(rig: Rig) -> Scan:
     return Scan(rig)
+
+
+@pytest.fixture(scope="module")
+def furnished(rig: Rig) -> Scan:
+    return Scan(rig, FURNISHED)
 
 
 def camera_at(rig: Rig, q: np.ndarray) -> np.ndarray:
@@ -79,3 +89,68 @@ def test_the_views_are_those_that_are_near(rig: Rig, scan: Scan) -> None:
 
 def test_a_place_out_of_reach_is_not_looked_at(rig: Rig, scan: Scan) -> None:
     assert next_views(scan, rig, [np.array([1.6, 0.0])], BOX, rig.arm.home, False) == []
+
+
+DRAWERS = {opening: drawer_features(opening) for opening in (0.0, BUILT.travel)}
+SIGHTS = {
+    "lid": sights.of_lid(lid_features(on=False)),
+    "closed drawer": sights.of_drawer(DRAWERS[0.0], BUILT),
+    "open drawer": sights.of_drawer(DRAWERS[BUILT.travel], BUILT),
+}
+
+
+def shows(rig: Rig, q: np.ndarray, points: np.ndarray) -> bool:
+    camera = rig.camera("wrist")
+    x, y, z = spatial.apply(spatial.inverse(camera_at(rig, q)), points).T
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    return bool(np.all((u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)))
+
+
+@pytest.mark.parametrize("name", SIGHTS)
+def test_two_views_show_all_edges_of_a_lid_or_a_drawer(rig: Rig, furnished: Scan, name: str) -> None:
+    solids = sights.cabinet_and_front(DRAWERS[BUILT.travel if "open" in name else 0.0], BUILT)
+    views = next_views(furnished, rig, [], BOX, rig.arm.home, False, [SIGHTS[name]], solids)
+    assert len(views) == 2
+    assert all(any(shows(rig, q, patch) for q in views) for patch in SIGHTS[name].patches)
+
+
+def test_a_front_is_looked_at_from_where_both_eyes_see_it_past_its_cabinet(rig: Rig, furnished: Scan) -> None:
+    cabinet, front = sights.cabinet_and_front(DRAWERS[0.0], BUILT)
+    views = next_views(furnished, rig, [], BOX, rig.arm.home, False, [SIGHTS["closed drawer"]], [cabinet, front])
+    edge = [patch for patch in SIGHTS["closed drawer"].patches if patch[:, 2].max() < cabinet.half[2]]
+    for patch in edge:
+        seen_by = [q for q in views if shows(rig, q, patch)]
+        eyes = [camera_at(rig, q) @ np.array([[0, 0, 0, 1], [SECOND_EYE, 0, 0, 1]]).T for q in seen_by]
+        ways = [e[:3, i] + np.linspace(0, 1, 200)[:, None, None] * (patch - e[:3, i]) for e in eyes for i in (0, 1)]
+        clear = [not cabinet.contains(w).any() for w in ways]
+        assert any(all(clear[i : i + 2]) for i in range(0, len(clear), 2))
+
+
+def test_few_views_show_every_place_in_a_box_from_two_sides(rig: Rig, furnished: Scan) -> None:
+    sight = sights.of_box(BOX)
+    views = next_views(furnished, rig, [], BOX, rig.arm.home, False, [sight])
+    assert 2 < len(views) <= 4
+    assert all(any(shows(rig, q, patch) for q in views) for patch in sight.once)
+    for patch in sight.from_two_sides:
+        place = patch[:, :2].mean(axis=0)
+        away = [camera_at(rig, q)[:2, 3] - place for q in views if shows(rig, q, patch)]
+        directions = np.array([a / np.linalg.norm(a) for a in away])
+        assert (directions @ directions.T).min() < FROM_TWO_SIDES
+
+
+def test_once_is_enough_where_nothing_asks_for_two_sides(rig: Rig, scan: Scan) -> None:
+    block = sights.of_block((0.48, 0.0))
+    once = replace(block, once=block.from_two_sides, from_two_sides=())
+    assert len(next_views(scan, rig, [], BOX, rig.arm.home, False, [once])) == 1
+
+
+def test_nobody_looks_at_a_place_through_something_solid(rig: Rig, furnished: Scan) -> None:
+    place = np.array([0.48, 0.0, 0.05])
+    quickest, _ = next_views(furnished, rig, [place[:2]], BOX, rig.arm.home, False)
+    between = (place + camera_at(rig, quickest)[:3, 3]) / 2
+    solid = sights.Solid(spatial.transform(None, between), np.full(3, 0.02))
+    views = next_views(furnished, rig, [place[:2]], BOX, rig.arm.home, False, solids=[solid])
+    assert len(views) == 2
+    for q in views:
+        eye = camera_at(rig, q)[:3, 3]
+        assert not solid.contains(eye + np.linspace(0, 1, 200)[:, None] * (place - eye)).any()

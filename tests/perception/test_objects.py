@@ -255,3 +255,6 @@ def test_two_pictures_of_one_place_do_where_the_box_is_known(
     beside = replace(scene.box, features=scene.box.features + np.array([0.012, *[0.0] * 10]))
     with pytest.raises(PerceptionError, match=r"the box is \d+ mm from where it was"):
         SceneEstimator(rig).estimate(table.scan(views), beside)
+    # What is only reckoned from a lid says nothing of where it stood.
+    reckoned = SceneEstimator(rig).estimate(table.scan(views), replace(beside, seen=False))
+    assert reckoned.blocks["b1"].features[:2] == pytest.approx([x, y], abs=0.0012)

@@ -24,7 +24,7 @@ def scanned(rig: Rig, index: int) -> tuple[Belief, State, State]:
     """The belief after one round of pictures of that scene, its state, and the truth."""
     task = scene(index)
     try:
-        frames, scan, truth = look(task, index)
+        frames, scan, truth, _ = look(task, index)
     except RenderError as error:
         pytest.skip(f"no Vulkan device, so no rendered pictures: {error.what}")
     blocks = [o for o in task.objects if o.type == BLOCK]
