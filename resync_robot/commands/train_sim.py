@@ -15,6 +15,7 @@ from resync_robot.given import Given
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from resync_robot.core.library import Library
     from resync_robot.core.task import Domain
     from resync_robot.curriculum.run_folder import RunFolder
     from resync_robot.curriculum.run_settings import RunSettings
@@ -179,6 +180,12 @@ def _kept(settings: RunSettings, folder: RunFolder) -> dict[str, Any]:
     return {**asdict(settings), "rig": folder.rig.hash, "git": git_hash()}
 
 
+def _origin(settings: RunSettings, folder: RunFolder, domain: Domain, library: Library | None) -> dict[str, Any]:
+    """The same for a library, which is handed on: it names no files of this machine."""
+    built_on = f"{library.domain} {library.content_hash}" if library is not None else ""
+    return {**_kept(settings, folder), "domain": domain.name, "library": built_on}
+
+
 def _check_device(settings: RunSettings, folder: RunFolder) -> None:
     if settings.device == "cuda":
         import torch
@@ -239,6 +246,7 @@ def _run(settings: RunSettings, workers: int, domain: Domain, folder: RunFolder)
     if elsewhere is not None:
         check_taken_over(stages, elsewhere, domain, settings.skills == "camera")
     arm = domain.embodiment is None
+    origin = _origin(settings, folder, domain, known or elsewhere)
     packages = {p: version(p) for p in ("torch", "numpy", "pyperplan", *(("lerobot", "sapien") if arm else ()))}
     curriculum = Curriculum(
         domain=domain,
@@ -247,7 +255,7 @@ def _run(settings: RunSettings, workers: int, domain: Domain, folder: RunFolder)
         seed=settings.seed,
         workers=workers,
         concepts=settings.concepts,
-        provenance={**_kept(settings, folder), "version": __version__, "packages": packages},
+        provenance={**origin, "version": __version__, "packages": packages},
         rig=folder.rig if arm else None,
         known=known,
         known_at=known_at,

@@ -21,8 +21,9 @@ from resync_robot.core.library import load_library
 from resync_robot.core.lock import LOCK, sole_writer
 from resync_robot.core.rig import load_rig
 from resync_robot.curriculum.learn_stages import STEPS
+from resync_robot.curriculum.run_folder import RunFolder
 from resync_robot.curriculum.run_settings import SHAPING, RunSettings
-from resync_robot.library_models import learned_model
+from resync_robot.library_models import learned_model, shipped_library
 from resync_robot.sim_training.domains import find_domain
 from resync_robot.sim_training.physics import gpu
 from tests.libraries import DOMAIN
@@ -149,6 +150,15 @@ def test_the_saved_config_names_all_that_decides_the_outcome(
     saved = json.loads((tmp_path / "run" / "config.json").read_text())
     assert set(saved) == {*SHAPING, "rig", "git"}
     assert (saved["seed"], saved["rig"]) == (4, load_rig().hash)
+
+
+def test_a_library_names_no_files_of_the_machine_it_was_learned_on(tmp_path: Path) -> None:
+    settings = RunSettings(domain=str(tmp_path / "own.py"), library=str(tmp_path / "library"))
+    folder, built_on = RunFolder(tmp_path / "run"), load_library(shipped_library(DOMAIN))
+    origin = train_sim._origin(settings, folder, find_domain(DOMAIN), built_on)
+    assert str(tmp_path) not in json.dumps(origin)
+    assert (origin["domain"], origin["library"]) == (DOMAIN, f"{DOMAIN} {built_on.content_hash}")
+    assert train_sim._origin(settings, folder, find_domain(DOMAIN), None)["library"] == ""
 
 
 def test_a_folder_has_one_run_at_a_time_and_a_refused_one_changes_nothing(
