@@ -157,8 +157,8 @@ def plan_and_execute(
         for index, step in enumerate(found.steps):
             if found.goes_without(index, run.atoms, goal):
                 continue
-            if missing := step.preconditions - run.atoms:
-                reason = f"{step} needs {', '.join(map(str, sorted(missing)))}"
+            if lack := run.spoilt(found, index):
+                reason = f"{lack[0]} needs {', '.join(map(str, sorted(lack[1])))}"
                 break
             if limit := run.limit_reached():
                 return run.ended(EpisodeEnd.EXHAUSTED, limit)
@@ -286,6 +286,18 @@ class _Episode:
         except PlanningError:
             raise error from None
         return found, "against what is known"
+
+    def spoilt(self, found: Plan, index: int) -> tuple[GroundOperator, Atoms] | None:
+        """The step of a plan that cannot be run any more, from that of `index` on, and what is not there for it.
+
+        Of a later one only what is believed to be false counts, for what is in doubt may be seen by then: that a block
+        which a lid hid is in a corner is to be known before something is built for it.
+        """
+        lack = found.lacks(index, self.atoms)
+        if lack is None or lack[0] is found.steps[index]:
+            return lack
+        foreseen = found.reaches(self._goal) and not lack[1] <= self.beliefs.likely().keys()
+        return lack if foreseen else None
 
     def limit_reached(self) -> str:
         """Which limit of the loop is reached, in words; "" for none."""

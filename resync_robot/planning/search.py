@@ -61,6 +61,15 @@ class Plan:
         """Whether a step is needless where `atoms` hold: what it brings about is there, the rest reaches the goal."""
         return self.steps[index].add <= atoms and _lead(self.steps[index + 1 :], atoms, goal)
 
+    def lacks(self, index: int, atoms: Atoms) -> tuple[GroundOperator, Atoms] | None:
+        """The first step, from that of `index` on, that cannot be run where `atoms` hold, and what is not there for it;
+        None where each can, as far as the operators tell."""
+        for step in self.steps[index:]:
+            if missing := step.preconditions - atoms:
+                return step, missing
+            atoms = step.apply(atoms)
+        return None
+
     def __str__(self) -> str:
         return ", ".join(map(str, self.steps)) or "(nothing to do)"
 

@@ -11,16 +11,19 @@ from resync_robot.core.errors import UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import GroundSkill, SkillEnd, SkillOutcome
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Object, Operator
+from resync_robot.core.symbols import Atom, Object, Operator, Predicate
+from resync_robot.planning.abstract import Abstraction
 from resync_robot.planning.effect_hypotheses import with_relaxed_recoveries
 from resync_robot.planning.execute import EpisodeEnd, ExecuteSettings, Model, plan_and_execute
 from resync_robot.planning.skill_run import LOOKS
 from tests.planning.kitchen import (
     CLEAN,
+    FILL,
     FULL,
     GOAL,
     OPEN,
     UNLID,
+    WIPE,
     A,
     B,
     Kitchen,
@@ -32,6 +35,16 @@ from tests.planning.kitchen import (
     nothing,
     setting,
 )
+
+WATER = Predicate("Water", ())
+"""Cup b holds the water that others are filled with."""
+
+
+class Shares(Abstraction):
+    """Tells how much water there is, as samples of poses would."""
+
+    def shares(self, state: State) -> dict[Atom, float]:
+        return self.abstract(state)
 
 
 def test_a_plan_that_works_is_carried_out_step_by_step() -> None:
@@ -139,6 +152,28 @@ def test_it_plans_again_where_the_next_step_lost_its_precondition() -> None:
     assert result.success
     assert [t.skill for t in result.transitions] == ["Unlid", "Wipe", "Fill"]
     assert notes.reasons[1] == "Fill(a) needs Clean(a)" and not notes.failed
+
+
+@pytest.mark.parametrize(("water", "done"), [(0.0, ["Unlid"]), (0.7, ["Unlid", "Wipe", "Fill"])])
+def test_what_a_later_step_lacks_is_noticed_at_once_where_it_is_false_and_not_just_in_doubt(
+    water: float, done: list[str]
+) -> None:
+    world = kitchen(full="b")
+
+    def spills(cup: Object) -> Callable[[State], State]:
+        return lambda state: state.with_features(cup, open=1.0).with_features(B, full=water)
+
+    wipe = replace(WIPE, preconditions=frozenset({OPEN(X)}))
+    fill = replace(FILL, preconditions=FILL.preconditions | {WATER()})
+    given = model(world, Unlid=(spills, SkillOutcome(SkillEnd.DONE)), operators=(UNLID, wipe, fill))
+    known = given.abstraction
+    classifiers = {**known.classifiers, "Water": lambda state, objects: float(state.get(B, "full")[0])}
+    notes = Notes()
+    wet = replace(given, abstraction=Shares([*known.predicates, WATER], classifiers))
+    result = plan_and_execute(world, wet, GOAL, listener=notes)
+    assert [t.skill for t in result.transitions] == done
+    assert notes.plans[0] == "Unlid(a), Wipe(a), Fill(a)"
+    assert result.success is bool(water)
 
 
 def test_a_missing_delete_effect_counts_as_failure() -> None:
