@@ -143,9 +143,10 @@ def _frames(episode: Episode, size: tuple[int, int], finer: float = 2.0) -> Fram
     if not episode.meta.rig:
         return OwnFilm(episode)
     # SAPIEN takes a second to load.
-    from resync_robot.sim_training.scenes.film import FilmScene
+    from resync_robot.sim_training.scenes.film import FilmScene, view_of
 
-    return Film(episode, FilmScene(RecordedRig.of(episode), *size, finer))
+    seen = {o for _, state in episode.states() for o in state}
+    return Film(episode, FilmScene(RecordedRig.of(episode), *size, finer, view_of(seen)))
 
 
 def _mend(torn: Path, out: Path) -> None:

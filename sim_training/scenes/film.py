@@ -7,7 +7,7 @@ measures, so that every model is shown.
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,11 +20,12 @@ from sapien import render
 from resync_robot.core import spatial
 from resync_robot.core.recorded_rig import RecordedRig
 from resync_robot.core.symbols import Object
-from resync_robot.core.vocabulary import BLOCK, BOX
+from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID
 from resync_robot.hardware.clearance import link_segments
 from resync_robot.sim_training.physics import parts
 from resync_robot.sim_training.physics.bodies import attach_looks
-from resync_robot.sim_training.physics.randomise import BLOCK_HUES
+from resync_robot.sim_training.physics.fittings import cabinet_shapes, drawer_shapes, lid_shapes
+from resync_robot.sim_training.physics.randomise import BLOCK_HUES, FITTING_HUES
 from resync_robot.sim_training.physics.scene import colour_of, require_renderer
 
 STEEL, DARK, BLUE = (0.70, 0.72, 0.75), (0.055, 0.06, 0.07), (0.16, 0.34, 0.56)
@@ -51,6 +52,15 @@ class Viewpoint:
         return spatial.transform(np.column_stack([right, np.cross(forward, right), forward]), np.array(self.eye))
 
 
+FARTHER = Viewpoint(eye=(1.50, -1.02, 1.36), aim=(0.31, -0.05, 0.19))
+"""The same where things stand all over the table."""
+
+
+def view_of(objects: Iterable[Object]) -> Viewpoint:
+    """From where all of these are seen."""
+    return FARTHER if {LID, DRAWER} & {o.type for o in objects} else Viewpoint()
+
+
 class FilmScene:
     """
     Args:
@@ -70,7 +80,7 @@ class FilmScene:
         self._links = list(link_segments(rig.arm).values())
         self._arm = [(frame, self._tube(begin, end, radius)) for frame, begin, end, radius in self._links]
         self._hand, self._fingers = self._add_hand(), [self._add_finger(side) for side in (1.0, -1.0)]
-        self._things: dict[Object, tuple[np.ndarray, sapien.Entity]] = {}
+        self._things: dict[Object, tuple[np.ndarray, list[sapien.Entity]]] = {}
         self._add("table", [parts.Cuboid(TABLE_MIDDLE, TABLE_HALF)], TABLE, 0.85)
         floor = parts.Cuboid(np.array([0.0, 0.0, -0.8]), np.array([12.0, 12.0, 0.02]))
         self._add("floor", [floor], FLOOR, 0.95)
@@ -82,7 +92,7 @@ class FilmScene:
     def picture(
         self, q: Float[np.ndarray, "6"], opening: float, things: Mapping[Object, np.ndarray]
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """RGB of the robot at `q` in rad with its pads `opening` m apart, and of blocks and boxes by their features."""
+        """RGB of the robot at `q` in rad with its pads `opening` m apart, and of all else by its features."""
         frames = self._rig.frames(q)
         for frame, entity in self._arm:
             entity.set_pose(sapien.Pose(frames[frame]))
@@ -103,22 +113,43 @@ class FilmScene:
     def _put(self, things: Mapping[Object, np.ndarray]) -> None:
         """Make, move and take away objects."""
         for obj in [o for o in self._things if o not in things]:
-            self._scene.remove_entity(self._things.pop(obj)[1])
+            self._remove(obj)
         for obj, features in things.items():
-            if obj.type not in (BLOCK, BOX):
+            if obj.type not in (BLOCK, BOX, LID, DRAWER):
                 continue
-            size = features[7:]
+            size = features[8:] if obj.type == DRAWER else features[7:]
             if obj in self._things and np.abs(self._things[obj][0] - size).max() > SAME_SIZE:
-                self._scene.remove_entity(self._things.pop(obj)[1])
+                self._remove(obj)
             if obj not in self._things:
                 self._things[obj] = size, self._add_thing(obj, size)
-            self._things[obj][1].set_pose(sapien.Pose(spatial.pose_from_features(features[:7])))
+            poses = [spatial.pose_from_features(features[:7])]
+            if obj.type == DRAWER:
+                poses.append(face_of(poses[0], features[7], size))
+            for entity, pose in zip(self._things[obj][1], poses, strict=True):
+                entity.set_pose(sapien.Pose(pose))
 
-    def _add_thing(self, obj: Object, size: np.ndarray) -> sapien.Entity:
+    def _remove(self, obj: Object) -> None:
+        for entity in self._things.pop(obj)[1]:
+            self._scene.remove_entity(entity)
+
+    def _add_thing(self, obj: Object, size: np.ndarray) -> list[sapien.Entity]:
+        """All that moves as one; of a drawer first what slides, then its cabinet."""
         if obj.type == BOX:
-            return self._add(obj.name, list(parts.box_shapes(*size)), BOX_COLOUR, 0.7)
-        hue = self._rig.hues.get(obj.name, BLOCK_HUES.get(obj.name, 0.8))
-        return self._add(obj.name, parts.block_shapes(tuple(size)), colorsys.hsv_to_rgb(hue, 0.88, 0.78), 0.35)
+            return [self._add(obj.name, list(parts.box_shapes(*size)), BOX_COLOUR, 0.7)]
+        if obj.type == BLOCK:
+            return [self._add(obj.name, parts.block_shapes(tuple(size)), self._colour(obj.name), 0.35)]
+        if obj.type == LID:
+            return [self._add(obj.name, lid_shapes(size), self._colour(obj.name), 0.5)]
+        tray, handle = drawer_shapes(size)
+        slides = render.RenderBodyComponent()
+        attach_looks(slides, tray, _paint(self._colour(obj.name), 0.5))
+        attach_looks(slides, handle, _paint(STEEL, 0.4))
+        cabinet = f"{obj.name}_cabinet"
+        return [self._entity(obj.name, slides), self._add(cabinet, cabinet_shapes(), self._colour(cabinet), 0.5)]
+
+    def _colour(self, name: str) -> tuple[float, float, float]:
+        hue = self._rig.hues.get(name, {**BLOCK_HUES, **FITTING_HUES}.get(name, 0.8))
+        return colorsys.hsv_to_rgb(hue, 0.88, 0.78) if name not in FITTING_HUES else colorsys.hsv_to_rgb(hue, 0.5, 0.7)
 
     def _add(self, name: str, shapes: list[Any], colour: tuple[float, ...], roughness: float) -> sapien.Entity:
         look = render.RenderBodyComponent()
@@ -187,6 +218,14 @@ class FilmScene:
         component.local_pose = sapien.Pose(self._view.world_T_cam @ axes)
         self._entity("film", component)
         return component
+
+
+def face_of(world_T_front: Float[np.ndarray, "4 4"], opening: float, size: np.ndarray) -> Float[np.ndarray, "4 4"]:
+    """world_T_face: on the table under the middle of the face of a cabinet, whose drawer has a front of extents `size`
+    (3,) there, and is `opening` m open."""
+    face = world_T_front @ spatial.transform(None, np.array([-size[0] / 2 - opening, 0.0, 0.0]))
+    face[2, 3] = parts.TABLE_TOP
+    return face
 
 
 def _paint(colour: tuple[float, ...], roughness: float) -> render.RenderMaterial:

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from resync_robot.core import fittings
 from resync_robot.core.episode import EpisodeMeta
 from resync_robot.core.machines import ARMS
 from resync_robot.core.recorded_rig import RecordedRig
 from resync_robot.core.rig import load_rig
-from resync_robot.core.vocabulary import BLOCK, BOX
-from resync_robot.sim_training.scenes.film import FilmScene
+from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID
+from resync_robot.sim_training.scenes.film import FilmScene, view_of
+from tests import furnished_scenes as furnished
 
 RIG = load_rig()
 RECORDED = RecordedRig(
@@ -79,3 +81,28 @@ def test_the_machine_is_read_from_the_recording() -> None:
     assert read.hues == {"b0": 0.3} and read.arm is RIG.arm.facts
     flange = RIG.arm.world_T_base @ RIG.arm.kinematics.forward(RIG.arm.home)
     np.testing.assert_allclose(read.frames(RIG.arm.home)[-1], flange, atol=1e-12)
+
+
+def greens(picture: np.ndarray) -> np.ndarray:
+    """(n, 2) px of what is green: the cabinet."""
+    colours = picture.astype(int)
+    rows, columns = np.nonzero((colours[..., 1] - colours[..., 2] > 25) & (colours[..., 1] - colours[..., 0] > 10))
+    return np.column_stack([columns, rows])
+
+
+def test_a_lid_lies_where_it_was_recorded_and_a_drawer_slides_out_of_a_cabinet_that_stays() -> None:
+    scene = FilmScene(RECORDED, *SIZE, view=view_of([LID("lid")]))
+    lid = np.array([0.55, -0.45, 0.01, 1, 0, 0, 0, *fittings.LID.size])
+    pictures = {}
+    for opening in (0.0, fittings.DRAWER.travel):
+        drawer = furnished.drawer_features(opening)
+        pictures[opening] = scene.picture(RIG.arm.home, 0.08, {LID("lid"): lid, DRAWER("drawer"): drawer}).astype(int)
+    shut, pulled = pictures.values()
+    middle = scene.pixels(lid[None, :3])[0].round().astype(int)
+    assert shut[middle[1], middle[0], 2] - shut[middle[1], middle[0], 1] > 25, "purple"
+    cabinets = [greens(p) for p in (shut, pulled)]
+    assert len(cabinets[0]) > 200
+    np.testing.assert_allclose(cabinets[0].mean(0), cabinets[1].mean(0), atol=4)
+    assert (np.abs(shut - pulled).max(-1) > 30).sum() > 60, "the drawer"
+    empty = scene.picture(RIG.arm.home, 0.08, {})
+    assert not len(greens(empty))
