@@ -63,6 +63,7 @@ def deploy(config: DeployConfig) -> int:
     if recording is not None:
         config = as_recorded(config, recording)
         domain = _domain(config)
+    config = replace(config, scenario=config.scenario or domain.first_test.name)
     check_plan_files(config)
     robot = _own_robot(config, domain) if domain.embodiment is not None else _arm(config, domain, recording)
     if recording is None:

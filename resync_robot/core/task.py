@@ -156,6 +156,12 @@ class Domain:
                 return p
         raise UnknownNameError("predicate", name, [p.name for p in self.predicates])
 
+    @property
+    def first_test(self) -> Scenario:
+        """The first scenario that nothing trains in, or just the first where there is none such."""
+        every = list(self.scenarios.values())
+        return next((s for s in every if not s.training), every[0])
+
     def scenario(self, name: str) -> Scenario:
         if name not in self.scenarios:
             raise UnknownNameError(f"scenario of {self.name}", name, list(self.scenarios))

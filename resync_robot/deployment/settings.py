@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from resync_robot.core.options import DEFAULT_DOMAIN
 from resync_robot.given import Given
@@ -30,8 +32,9 @@ class DeployConfig:
     """The recording that --backend replay runs over: the same executive, told what was measured and seen then.
     Scenario, goal, seed, and how it was perceived are those of the recording."""
 
-    scenario: str = "s1"
-    """Where the objects of a simulated episode lie, and the goal unless --goal is given."""
+    scenario: Annotated[str, tyro.conf.arg(help_behavior_hint="")] = ""
+    """Where the objects of a simulated episode lie, and the goal unless --goal is given. Default: the domain's first
+    test, such as s1."""
 
     goal: Given[str] = None
     """The goal as atoms, such as "On(b1,b0)". Default: that of the scenario."""

@@ -226,7 +226,7 @@ def test_a_recording_that_exists_is_found_before_anything_connects(
     library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(simulated, "open_simulated", lambda *_: pytest.fail("connected"))
-    old = tmp_path / f"episode-001-s1-seed{deploy._task(DeployConfig(), find_domain(DOMAIN), 1).seed}.mcap"
+    old = tmp_path / f"episode-001-s1-seed{deploy._task(DeployConfig(scenario='s1'), find_domain(DOMAIN), 1).seed}.mcap"
     old.write_bytes(b"precious")
     assert oracle(library, tmp_path, "--episodes", "2") == 2
     assert f"{old} exists already" in (error := capsys.readouterr().err) and "--out" in error

@@ -1,6 +1,6 @@
 """Goals as text."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import pytest
@@ -142,3 +142,14 @@ def test_a_scenario_that_says_only_how_it_is_sampled_practises_and_is_tested_on_
     assert plain.sample_practice is plain.sample_unseen is usual
     both = Scenario("a", "", lambda domain: frozenset(), usual, sample_unseen=unseen)
     assert (both.sample_practice, both.sample_unseen) == (usual, unseen)
+
+
+@pytest.mark.parametrize(("training", "first"), [((True, False, False), "b"), ((True, True), "a"), ((False,), "a")])
+def test_the_first_test_of_a_domain_is_one_that_nothing_trains_in_if_there_is_any(
+    training: tuple[bool, ...], first: str
+) -> None:
+    scenarios = {
+        name: Scenario(name, "", lambda domain: frozenset(), lambda rng, seed: None, training=trains)
+        for name, trains in zip("abc", training, strict=False)
+    }
+    assert replace(DOMAIN, scenarios=scenarios).first_test.name == first
