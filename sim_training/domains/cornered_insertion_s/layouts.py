@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from resync_robot.core import spatial
+from resync_robot.core.errors import TrainingError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object
@@ -31,6 +32,8 @@ APART = 0.16
 
 WIDTHS = (0.046, 0.070)
 """Of a set of blocks, m."""
+DRAWN, TRIES = 3000, 50
+"""Scenes that are drawn until one has room for all of its blocks, and places that each block is tried at."""
 
 
 def sample_box(rng: np.random.Generator) -> np.ndarray:
@@ -138,29 +141,47 @@ def lay_out(
     Args:
         on_table: where a free block stands that is not in the box, as `free_on_table` does.
         apart_there: least distance between the centres of two of these, m.
+
+    Raises:
+        TrainingError: there is no room for so many blocks.
     """
-    while True:
-        box = sample_box(rng)
-        corners = iter(rng.permutation(4))
-        sizes = sample_block_sizes(rng, layout.names, ranges, layout.widths)
-        local: dict[str, tuple[float, float, float]] = {}
-        outside: set[str] = set()
-        for name in layout.cornered:
-            local[name] = corner_pose(rng, box, sizes[name][0], int(next(corners)))
-        for name in layout.gapped:
-            local[name] = corner_pose(rng, box, sizes[name][0], int(next(corners)), MIDDLING_GAP)
-        for name in layout.walled:
-            local[name] = wall_pose(rng, box, sizes[name][0], int(rng.integers(4)))
-        for name in layout.free:
-            if rng.random() < layout.in_box:
-                local[name] = free_in_box(rng, box, sizes[name][0])
-            else:
-                local[name] = on_table(rng, box)
-                outside.add(name)
-        if _apart(local, outside, apart_there):
-            break
-    features = {BLOCK(n): block_features(box, local[n], sizes[n], n in outside) for n in sorted(local)}
-    return {**features, THE_BOX: box}, sizes
+    # Where many blocks stand, to draw all of them at once would take for ever. To draw one after the other gives other
+    # scenes, so it is left for those.
+    for tries in (1, TRIES):
+        for _ in range(DRAWN):
+            box, corners = sample_box(rng), rng.permutation(4)
+            sizes = sample_block_sizes(rng, layout.names, ranges, layout.widths)
+            local, outside = _walled(rng, layout, box, corners, sizes), set[str]()
+            for name in layout.free:
+                for _ in range(tries):
+                    outside.discard(name)
+                    if rng.random() < layout.in_box:
+                        local[name] = free_in_box(rng, box, sizes[name][0])
+                    else:
+                        local[name] = on_table(rng, box)
+                        outside.add(name)
+                    if tries > 1 and _apart(local, outside, apart_there):
+                        break
+            if _apart(local, outside, apart_there):
+                features = {BLOCK(n): block_features(box, local[n], sizes[n], n in outside) for n in sorted(local)}
+                return {**features, THE_BOX: box}, sizes
+    raise TrainingError(
+        f"there is no room for {len(layout.names)} blocks in the box and on the table", "ask for fewer blocks"
+    )
+
+
+def _walled(
+    rng: np.random.Generator, layout: Layout, box: np.ndarray, corners: np.ndarray, sizes: dict[str, np.ndarray]
+) -> dict[str, tuple[float, float, float]]:
+    """(x, y, yaw) in the box's frame of every block that begins at a wall or in a corner, the next of `corners`."""
+    left, local = iter(corners), dict[str, tuple[float, float, float]]()
+    for name in layout.cornered:
+        local[name] = corner_pose(rng, box, sizes[name][0], int(next(left)))
+    for name in layout.gapped:
+        local[name] = corner_pose(rng, box, sizes[name][0], int(next(left)), MIDDLING_GAP)
+    for name in layout.walled:
+        local[name] = wall_pose(rng, box, sizes[name][0], int(rng.integers(4)))
+    return local
 
 
 def _apart(local: dict[str, tuple[float, float, float]], outside: set[str], apart_there: float) -> bool:

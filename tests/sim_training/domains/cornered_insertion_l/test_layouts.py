@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from resync_robot.core import spatial
+from resync_robot.core.errors import TrainingError
 from resync_robot.core.fittings import DRAWER as BUILT
 from resync_robot.core.fittings import LID as PLATE
 from resync_robot.core.rig import load_rig
@@ -145,3 +148,12 @@ def test_of_the_same_seed_a_cornered_block_begins_in_the_same_corner_whatever_li
             for given in ({}, {"lid_on": False, "drawer_open": True})
         )
         np.testing.assert_array_equal(one.initial[B0], other.initial[B0])
+
+
+def test_five_blocks_find_room_and_a_crowd_is_told_that_there_is_none() -> None:
+    for seed in range(2):
+        task = FURNISHED.free(np.random.default_rng(seed), seed, {BLOCK: 5})
+        places = np.array([task.initial.get(b, "x", "y") for b in task.initial.of_type(BLOCK)])
+        assert len(places) == 5 and min(np.hypot(*(a - b)) for a, b in combinations(places, 2)) > 0.11
+    with pytest.raises(TrainingError, match="no room for 9 blocks"):
+        FURNISHED.free(np.random.default_rng(0), 0, {BLOCK: 9})
