@@ -19,6 +19,8 @@ OPEN = 0.14
 """m from which on a drawer is open: what a tower and the fingers around it need, and a little more."""
 CLOSED = 0.006
 """m up to which it is closed."""
+PADS = 0.03
+"""m above the tips up to which the pads hold something by its lower end."""
 ON_THE_FLOOR = 0.006
 """m that the underside of a block in a drawer may be from its floor."""
 
@@ -33,16 +35,37 @@ OUTSIDE = Predicate("Outside", (BLOCK,))
 PREDICATES = (HAND_EMPTY, HOLDING, HOLDING_TOWER, ON, LID_ON, LID_OFF, DRAWER_OPEN, DRAWER_CLOSED, IN, OUTSIDE)
 
 
+def holding(state: State, objects: tuple[Object, ...]) -> float:
+    """Is the block between pads that are closed on it? Where a tower has come apart in the hand, its lower block is
+    gone, and the pads, which reach up past that, hold the next one by its lower end."""
+    robot, block = objects
+    if small.holding(state, objects):
+        return 1.0
+    lowest = not any(small.holding(state, (robot, other)) for other in state.of_type(BLOCK))
+    return float(lowest and _hangs_between_pads(state, robot, block))
+
+
+def _hangs_between_pads(state: State, robot: Object, block: Object) -> bool:
+    width, height = state.get(block, "size_x", "size_y").max(), state.get(block, "size_z")[0]
+    if state.get(robot, "opening")[0] >= width + 0.008:
+        return False
+    tip_T_world = spatial.inverse(spatial.pose_from_features(state[robot][:7]))
+    x, y, down = spatial.apply(tip_T_world, state[block][None, :3].astype(np.float64))[0]
+    return bool(abs(x) < 0.03 and abs(y) < 0.02 and 0 <= -down - height / 2 < PADS)
+
+
 def holding_tower(state: State, objects: tuple[Object, ...]) -> float:
     """Is the lower block between the pads, and the upper one seated on it?"""
     robot, upper, lower = objects
-    return min(small.holding(state, (robot, lower)), small.on(state, (upper, lower)))
+    return min(holding(state, (robot, lower)), small.on(state, (upper, lower)))
 
 
 def hand_empty(state: State, objects: tuple[Object, ...]) -> float:
     """Is neither a block nor the knob of a lid between the pads?"""
-    of_lids = max((_holding_knob(state, objects[0], lid) for lid in state.of_type(LID)), default=0.0)
-    return min(small.hand_empty(state, objects), 1.0 - of_lids)
+    robot = objects[0]
+    of_blocks = max((holding(state, (robot, block)) for block in state.of_type(BLOCK)), default=0.0)
+    of_lids = max((_holding_knob(state, robot, lid) for lid in state.of_type(LID)), default=0.0)
+    return 1.0 - max(of_blocks, of_lids)
 
 
 def _holding_knob(state: State, robot: Object, lid: Object) -> float:
@@ -107,7 +130,7 @@ def outside(state: State, objects: tuple[Object, ...]) -> float:
 
 CLASSIFIERS = {
     "HandEmpty": hand_empty,
-    "Holding": small.holding,
+    "Holding": holding,
     "HoldingTower": holding_tower,
     "On": small.on,
     "LidOn": lid_on,

@@ -24,6 +24,7 @@ from resync_robot.sim_training.domains.cornered_insertion_l.vocabulary import (
     lid_on,
     outside,
 )
+from resync_robot.sim_training.domains.cornered_insertion_l.vocabulary import holding as in_hand
 from tests import furnished_scenes as furnished
 from tests import scenes
 from tests.furnished_scenes import THE_DRAWER, THE_LID
@@ -109,6 +110,19 @@ def test_a_held_tower_is_held_below_and_seated_above() -> None:
     assert holding_tower(held, (R, B1, B0)) and not holding_tower(held, (R, B0, B1))
     assert not holding_tower(holding(state, B1, scenes.WIDTH), (R, B1, B0))
     assert not holding_tower(held.with_features(B1, z=held.get(B1, "z")[0] + 0.02), (R, B1, B0))
+
+
+@pytest.mark.parametrize(("up", "held"), [(0.0, True), (0.02, True), (0.04, False)])
+def test_what_is_left_of_a_tower_in_the_hand_is_held(up: float, held: bool) -> None:
+    """The pads closed on the lower block, which slipped out: they hold the upper one by its lower end."""
+    state = furnished.furnished(STACKED).initial
+    tower = holding(state, B0, scenes.WIDTH)
+    assert in_hand(tower, (R, B0)) and not in_hand(tower, (R, B1))
+    # B0 stays where it is, hand and B1 are a tower's height above it.
+    bottom = tower.get(B1, "z")[0] - scenes.HEIGHT / 2
+    lifted = tower.with_features(R, z=bottom + 0.15 - up - 1e-4).with_features(B1, z=tower.get(B1, "z")[0] + 0.15)
+    assert bool(in_hand(lifted, (R, B1))) is held and not in_hand(lifted, (R, B0))
+    assert bool(hand_empty(lifted, (R,))) is not held
 
 
 def test_a_hand_that_holds_a_knob_is_not_empty() -> None:
