@@ -79,7 +79,7 @@ def of_lid(features: Float[np.ndarray, "10"]) -> Sight:
 
 def of_drawer(features: Float[np.ndarray, "11"], built: Drawer) -> Sight:
     """All edges of the top of the cabinet, and the way that the upper edge of the front can be on."""
-    face = _face(features, built)
+    face = built.face(features)
     top = face @ _at(-built.cabinet[0] / 2, 0.0, built.cabinet[2] + ABOVE)
     # Over a front that is closed, from where the cabinet does not hide most of it.
     ahead = np.linspace(built.front[0] / 3, built.travel + built.front[0] + BESIDE_AN_EDGE, PIECES)
@@ -107,17 +107,11 @@ def of_box(features: Float[np.ndarray, "11"]) -> Sight:
 def cabinet_and_front(features: Float[np.ndarray, "11"], built: Drawer) -> tuple[Solid, Solid]:
     """What a drawer with these features hides things behind."""
     deep, wide, high = built.cabinet
-    cabinet = _face(features, built) @ _at(-deep / 2, 0.0, high / 2)
+    cabinet = built.face(features) @ _at(-deep / 2, 0.0, high / 2)
     return (
         Solid(cabinet, np.array([deep, wide, high]) / 2),
         Solid(spatial.pose_from_features(features[:7]), np.array(built.front) / 2),
     )
-
-
-def _face(features: Float[np.ndarray, "11"], built: Drawer) -> Float[np.ndarray, "4 4"]:
-    """world_T_face: on the table under the middle of the face of a cabinet, x the way that its drawer opens."""
-    front = spatial.pose_from_features(features[:7])
-    return front @ _at(-features[7] - built.front[0] / 2, 0.0, -built.lift - built.front[2] / 2)
 
 
 def _around(place: Float[np.ndarray, "2"]) -> Float[np.ndarray, "8 3"]:

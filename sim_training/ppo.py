@@ -133,7 +133,7 @@ def train_policy(
             ):
                 curve[key].append(float(value))
             progress(done_steps, settings.total_steps, rate)
-            if _begun(curve, settings) == done_steps:
+            if _begun(curve, settings) == done_steps < settings.total_steps:
                 net.begin_anew(seed + done_steps)
                 optimiser = _optimiser(net, settings)
                 finished.clear()

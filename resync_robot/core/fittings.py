@@ -7,6 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float
+
+from resync_robot.core import spatial
+
 
 @dataclass(frozen=True, kw_only=True)
 class Lid:
@@ -48,6 +53,12 @@ class Drawer:
     bar: tuple[float, float, float] = (0.012, 0.10, 0.012)
     reach: float = 0.070
     bar_z: float = 0.045
+
+    def face(self, features: Float[np.ndarray, "11"]) -> Float[np.ndarray, "4 4"]:
+        """world_T_face of a drawer with these features: on the table under the middle of the face of its cabinet, x the
+        way that it opens."""
+        x, z = -features[7] - self.front[0] / 2, -self.lift - self.front[2] / 2
+        return spatial.pose_from_features(features[:7]) @ spatial.transform(None, np.array([x, 0.0, z]))
 
 
 LID, DRAWER = Lid(), Drawer()

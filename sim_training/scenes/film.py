@@ -17,7 +17,7 @@ import sapien
 from jaxtyping import Float, UInt8
 from sapien import render
 
-from resync_robot.core import spatial
+from resync_robot.core import fittings, spatial
 from resync_robot.core.recorded_rig import RecordedRig
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID
@@ -124,7 +124,7 @@ class FilmScene:
                 self._things[obj] = size, self._add_thing(obj, size)
             poses = [spatial.pose_from_features(features[:7])]
             if obj.type == DRAWER:
-                poses.append(face_of(poses[0], features[7], size))
+                poses.append(fittings.DRAWER.face(features))
             for entity, pose in zip(self._things[obj][1], poses, strict=True):
                 entity.set_pose(sapien.Pose(pose))
 
@@ -218,14 +218,6 @@ class FilmScene:
         component.local_pose = sapien.Pose(self._view.world_T_cam @ axes)
         self._entity("film", component)
         return component
-
-
-def face_of(world_T_front: Float[np.ndarray, "4 4"], opening: float, size: np.ndarray) -> Float[np.ndarray, "4 4"]:
-    """world_T_face: on the table under the middle of the face of a cabinet, whose drawer has a front of extents `size`
-    (3,) there, and is `opening` m open."""
-    face = world_T_front @ spatial.transform(None, np.array([-size[0] / 2 - opening, 0.0, 0.0]))
-    face[2, 3] = parts.TABLE_TOP
-    return face
 
 
 def _paint(colour: tuple[float, ...], roughness: float) -> render.RenderMaterial:

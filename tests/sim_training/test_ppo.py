@@ -91,9 +91,9 @@ def test_a_policy_that_finds_nothing_begins_anew_and_one_that_does_goes_on(
     monkeypatch.setattr(ActorCritic, "begin_anew", lambda net, seed: (begun.append(seed), anew(net, seed))[1])
     lasting = {"total_steps": 96, "restart": 32, "learning_rate": 0.0}
     net, curve, _ = run(tmp_path / "a.safetensors", seed=5, stop_at=10.0, **lasting)
-    assert begun == [5 + 32, 5 + 64, 5 + 96] and curve["steps"] == [16, 32, 48, 64, 80, 96]
+    assert begun == [5 + 32, 5 + 64] and curve["steps"] == [16, 32, 48, 64, 80, 96]
     fresh = ActorCritic(16, 1, 2, 2)
-    anew(fresh, 5 + 96)
+    anew(fresh, 5 + 64)
     assert torch.equal(net.actor[0].weight, fresh.actor[0].weight)
     begun.clear()
     run(tmp_path / "b.safetensors", seed=5, stop_at=0.0, **{**lasting, "least_steps": 1000})
