@@ -66,7 +66,7 @@ LOOKS = {"usual": PICTURED, "unseen": UNSEEN, "hard": HARD}
 
 def draw_physics(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges = USUAL) -> dict[str, Any]:
     """Physics and looks of one episode. Friction combines by average: pad on block stays well above
-    block on box floor, or no hand could press and drag."""
+    block on box floor, or no hand could press and drag. Pads yield as rubber does."""
     physics = {
         "friction_pad": ranges.draw(rng, 1.0, 1.3),
         "friction_block": ranges.draw(rng, 0.3, 0.55),
@@ -75,15 +75,14 @@ def draw_physics(rng: np.random.Generator, blocks: Sequence[str], ranges: Ranges
         "masses": {b: ranges.draw(rng, 0.05, 0.16) for b in blocks},
         **draw_looks(rng, blocks, ranges),
     }
-    # Last, and only where wanted, so that the usual worlds stay what they are.
-    return physics | ({"solver": draw_solver(rng)} if ranges.solver else {})
+    if ranges.solver:
+        physics["solver"] = draw_solver(rng)
+    # Between rigid pads one block of a tower is always a hair wider, and carries the whole grip.
+    return physics | {"pad_stiffness": ranges.draw(rng, 0.75e4, 1.5e4)}
 
 
 def draw_fittings(rng: np.random.Generator, ranges: Ranges = USUAL) -> dict[str, Any]:
-    """Physics and looks of a lid, and of a drawer, which it takes `stiction` N to move; and how far pads yield.
-
-    Between rigid pads one block of a tower is always a hair wider, and carries the whole grip.
-    """
+    """Physics and looks of a lid, and of a drawer, which it takes `stiction` N to move."""
     lid = {"mass": ranges.draw(rng, 0.3, 0.5), "friction": ranges.draw(rng, 0.3, 0.5)}
     drawer = {
         "mass": ranges.draw(rng, 0.4, 0.7),
@@ -96,7 +95,6 @@ def draw_fittings(rng: np.random.Generator, ranges: Ranges = USUAL) -> dict[str,
     return {
         "lid": {**lid, "colour": looks["lid"]},
         "drawer": {**drawer, **drawer_looks},
-        "pad_stiffness": ranges.draw(rng, 0.75e4, 1.5e4),
     }
 
 

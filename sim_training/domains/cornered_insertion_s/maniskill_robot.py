@@ -106,7 +106,7 @@ class Ur7e2f140(BaseAgent):
         rig = replace(self._rig, arm=replace(self._rig.arm, world_T_base=base))
         arms = []
         for i, scene in enumerate(self.scene.sub_scenes):
-            physics = {"friction_pad": 1.15} if self._physics is None else self._physics[i]
+            physics = {"friction_pad": 1.15, "pad_stiffness": 1e4} if self._physics is None else self._physics[i]
             arm = add_robot(scene, rig, physics, self.scene.can_render())
             built = BuiltScene(scene, arm, {}, {}, float(physics.get("gain", 1.0)), solver_of(physics))
             built.set_torque_limits(RECOVERY_TORQUE)

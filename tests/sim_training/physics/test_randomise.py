@@ -84,7 +84,7 @@ def test_unseen_surfaces_are_of_kinds_that_training_never_draws() -> None:
 def test_light_and_surfaces_leave_the_rest_of_a_world_as_it_is() -> None:
     for seed in range(10):
         plain, hard = (draw_physics(np.random.default_rng(seed), NAMES, r) for r in (USUAL, HARD))
-        same = {"friction_pad", "friction_block", "friction_box", "gain", "masses", "colours"}
+        same = {"friction_pad", "friction_block", "friction_box", "gain", "masses", "colours", "pad_stiffness"}
         assert all(plain[k] == hard[k] for k in same) and plain["light"] != hard["light"]
 
 
