@@ -137,6 +137,9 @@ class Predicate:
     name: str
     types: tuple[Type, ...]
 
+    def __hash__(self) -> int:
+        return hash(self.name)
+
     def __call__(self, *args: Term) -> Atom:
         return Atom(self, tuple(args))
 

@@ -82,10 +82,11 @@ class OutcomeCosts:
     ) -> None:
         self._tallies, self._settings = dict(tallies or {}), settings or CostSettings()
         self._forms = tuple(dict.fromkeys(t.form for of in self._tallies.values() for t in of if t.form is not None))
+        self._sides: dict[tuple[str, tuple[Object, ...]], list[tuple[Atom, float, float]]] = {}
 
     def atoms(self, step: GroundOperator) -> list[Atom]:
         """What its success hangs on beside its preconditions."""
-        return [tally.atom(step) for tally in self._tallies.get(step.name, ())]
+        return [atom for atom, _, _ in self._judged(step)]
 
     @property
     def bases(self) -> frozenset[Predicate]:
@@ -121,18 +122,15 @@ class OutcomeCosts:
         together, so to multiply them would count the same thing several times. The prior is a beta distribution around
         how this skill does on the whole, a little lower: untried circumstances are riskier than others.
         """
-        tallies = self._tallies.get(step.name, ())
-        counts = [tally.held if tally.atom(step) in atoms else tally.otherwise for tally in tallies]
-        return min((self._posterior(step, won, tried) for won, tried in counts), default=self._settings.prior)
+        sides = self._judged(step)
+        return min((held if atom in atoms else not_so for atom, held, not_so in sides), default=self._settings.prior)
 
     def with_and_without(self, step: GroundOperator) -> dict[Atom, tuple[float, float]]:
         """Each atom about its arguments that the step's success was counted by, with the probabilities of success where
         it holds and where it does not, whatever else does."""
-        return {
-            tally.atom(step): (self._posterior(step, *tally.held), self._posterior(step, *tally.otherwise))
-            for tally in self._tallies.get(step.name, ())
-            if tally.form is None
-        }
+        tallies = self._tallies.get(step.name, ())
+        sides = zip(tallies, self._judged(step), strict=True)
+        return {atom: (held, not_so) for tally, (atom, held, not_so) in sides if tally.form is None}
 
     def cost(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
         """Of running the step where `atoms` hold; above 0."""
@@ -141,8 +139,8 @@ class OutcomeCosts:
     def about_things(self, step: GroundOperator, atoms: Collection[Atom]) -> frozenset[Atom]:
         """Of these `circumstances` those that the step hangs on, but for what holds of something and anything else, as
         that the hand holds something."""
-        tallies = self._tallies.get(step.name, ())
-        return frozenset(a for t in tallies if not isinstance(t.form, Exists) and (a := t.atom(step)) in atoms)
+        sides = zip(self._tallies.get(step.name, ()), self._judged(step), strict=True)
+        return frozenset(atom for tally, (atom, _, _) in sides if not isinstance(tally.form, Exists) and atom in atoms)
 
     def hangs_on(
         self, step: GroundOperator, objects: Collection[Object]
@@ -155,22 +153,30 @@ class OutcomeCosts:
         """
         decided = self.circumstances(step.preconditions, objects)
         tallies = self._tallies.get(step.name, ())
-        sides = [(self._posterior(step, *t.held), self._posterior(step, *t.otherwise)) for t in tallies]
-        most = min((max(both) for both in sides), default=1.0)
+        sides = self._judged(step)
+        most = min((max(held, not_so) for _, held, not_so in sides), default=1.0)
         return [
-            (atom, tally.form, held > otherwise)
-            for tally, (held, otherwise) in zip(tallies, sides, strict=True)
-            if (atom := tally.atom(step)) not in decided
-            and math.log(most / min(held, otherwise)) > WORTH_A_STEP * self._settings.step
+            (atom, tally.form, held > not_so)
+            for tally, (atom, held, not_so) in zip(tallies, sides, strict=True)
+            if atom not in decided and math.log(most / min(held, not_so)) > WORTH_A_STEP * self._settings.step
         ]
 
     def least(self, step: GroundOperator) -> float:
         """No circumstances make the step cheaper than this: each of them is at its better, and the worst decides."""
-        best = [
-            max(self._posterior(step, *tally.held), self._posterior(step, *tally.otherwise))
-            for tally in self._tallies.get(step.name, ())
-        ]
-        return self._settings.step - math.log(min(best, default=self._settings.prior))
+        best = min((max(held, not_so) for _, held, not_so in self._judged(step)), default=self._settings.prior)
+        return self._settings.step - math.log(best)
+
+    def _judged(self, step: GroundOperator) -> list[tuple[Atom, float, float]]:
+        """Of each tally of the step's skill the atom, and the probabilities of success where it holds and where not.
+
+        A search asks for the same steps again and again."""
+        key = step.name, step.objects
+        if key not in self._sides:
+            self._sides[key] = [
+                (t.atom(step), self._posterior(step, *t.held), self._posterior(step, *t.otherwise))
+                for t in self._tallies.get(step.name, ())
+            ]
+        return self._sides[key]
 
     def _whole(self, step: GroundOperator) -> Count:
         """Successes and attempts of its skill."""

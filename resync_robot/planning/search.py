@@ -11,11 +11,9 @@ import math
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from pyperplan.heuristics.blind import BlindHeuristic
-from pyperplan.heuristics.lm_cut import LmCutHeuristic
 from pyperplan.heuristics.relaxation import hFFHeuristic, hMaxHeuristic
 from pyperplan.search.searchspace import SearchNode, make_child_node, make_root_node
 from pyperplan.task import Operator as PyperplanOperator
@@ -23,10 +21,10 @@ from pyperplan.task import Task
 
 from resync_robot.core.errors import PlanningError, UnknownNameError
 from resync_robot.core.symbols import Atom, Atoms, GroundOperator, Object, Operator, distinct_products
+from resync_robot.planning.lm_cut import INFINITY, LmCut
 from resync_robot.planning.outcome_costs import OutcomeCosts
 from resync_robot.planning.relevance import relevant
 
-INFINITY = float("inf")
 AGAIN = 0.09
 """Cost of beginning with a step that failed just now, less than that of any further step: of plans as good as each
 other one is taken that does something else first, which may change what that step failed of."""
@@ -82,52 +80,8 @@ def _lead(steps: Iterable[GroundOperator], atoms: Atoms, goal: Atoms) -> bool:
     return goal <= atoms
 
 
-class _LmCut(LmCutHeuristic):  # type: ignore[misc]
-    """LM-cut in a fixed order, with costs; pyperplan's own takes every operator for one step, and formats a log line
-    for every one of every cut.
-
-    Args:
-        costs: least cost of each operator, by its name; left out: 1 each.
-    """
-
-    def __init__(self, task: Task, costs: Mapping[int, int] | None = None) -> None:
-        super().__init__(task)
-        for name, cost in (costs or {}).items():
-            if name in self.relaxed_ops:
-                op = self.relaxed_ops[name]
-                op.clear = partial(_clear, op, cost)
-
-    def find_cut(self, state: Any) -> list[Any]:
-        return sorted(super().find_cut(state), key=lambda op: op.name)
-
-    def __call__(self, node: SearchNode) -> float:
-        goal = self.relaxed_facts[self.explicit_goal]
-        self.dead_end = True
-        self.compute_hmax(node.state, True)
-        if goal.hmax_value == INFINITY:
-            return INFINITY
-        value = 0.0
-        while goal.hmax_value != 0:
-            self.goal_plateau.clear()
-            self.compute_goal_plateau(self.explicit_goal)
-            cut = self.find_cut(node.state)
-            cost = min(op.cost for op in cut)
-            value += cost
-            for op in cut:
-                op.cost -= cost
-            self.compute_hmax_from_last_cut(node.state, cut)
-        return INFINITY if self.dead_end else value
-
-
-def _clear(op: Any, cost: int, anew: bool) -> None:
-    """As pyperplan forgets what it knew of an operator, but for its cost."""
-    type(op).clear(op, False)
-    if anew:
-        op.cost = cost
-
-
 HEURISTICS: dict[str, Callable[[Task], Callable[[SearchNode], float]]] = {
-    "lmcut": _LmCut,
+    "lmcut": LmCut,
     "hmax": hMaxHeuristic,
     "hff": hFFHeuristic,
     "blind": BlindHeuristic,
@@ -345,7 +299,7 @@ class _Problem:
     def cost_to_go(self, name: str) -> Callable[[SearchNode], float]:
         """Cost to the goal, in COST_UNIT: never more than it is, where the heuristic never overestimates steps."""
         if name == "lmcut":
-            return _LmCut(self.task, dict(enumerate(self._least)))
+            return LmCut(self.task, dict(enumerate(self._least)))
         steps, least = self.heuristic(name), min(self._least, default=round(1.0 / COST_UNIT))
         return lambda node: steps(node) * least
 
