@@ -19,8 +19,9 @@ class OperatorConfig:
 
     Attributes:
         held_before: an atom over the parameters that held before this share of the matching successes.
-        excludes_failures: default view only: a learned one must also rule out more than this share of the skill's
-            failures in the data of one stage that are not ruled out already,
+        excludes_failures: default view only: a learned one, and a given one that a skill is not said to need, must also
+            rule out more than this share of the skill's failures in the data of one stage that are not ruled out
+            already,
         excludes_successes: and less than this share of its successes.
         least_cluster: the effects are those of a cluster that holds at least this share of the successes, or else of
             the largest; 1: of the largest in any case.
@@ -226,13 +227,21 @@ def explained_failures(dataset: Dataset, columns: Sequence[Evidence], learned: C
 
 
 def learn_operator(
-    name: str, parameters: tuple[Variable, ...], columns: Sequence[Column], config: OperatorConfig
+    name: str,
+    parameters: tuple[Variable, ...],
+    columns: Sequence[Column],
+    config: OperatorConfig,
+    said: Operator | None = None,
 ) -> Operator | None:
     """The operator of one skill, or None where the skill never succeeded.
 
     Effects are those of a cluster of successes with the same lifted effects, preconditions what held before most of
     that cluster. Of clusters that are no handful it is the one whose effects explain most successes: what held already
     is achieved as well.
+
+    Args:
+        said: what was believed of the skill before. That a lid was off whenever a drawer was opened tells of the order
+            in which things were done, not of drawers, unless failures say otherwise.
     """
     if not columns or not len(columns[0].before):
         return None
@@ -248,9 +257,11 @@ def learn_operator(
     matching, effect = of.reshape(-1) == common[best], patterns[common[best]]
 
     frequent = [c for c in columns if c.before[matching].mean() >= config.held_before]
-    needed = {c.atom for c in frequent if not c.learned}
-    learned = [c for c in frequent if c.learned]
-    needed |= _that_exclude_failures(learned, config) if config.use_failures else {c.atom for c in learned}
+    if config.use_failures:
+        needed = {c.atom for c in frequent if not c.learned and (said is None or c.atom in said.preconditions)}
+        needed |= _that_exclude_failures([c for c in frequent if c.atom not in needed], config)
+    else:
+        needed = {c.atom for c in frequent}
     return Operator(
         name,
         parameters,

@@ -152,7 +152,8 @@ class Selector:
         result = []
         for skill, variables in sorted(self.parameters.items()):
             columns = [c for e in [*self.given_evidence, *(k.evidence for k in concepts)] for c in e[skill]]
-            learned = learn_operator(skill, variables, columns, self.operator_config) or self.fallback.get(skill)
+            said = self.fallback.get(skill)
+            learned = learn_operator(skill, variables, columns, self.operator_config, said) or said
             if learned is not None:
                 result.append(replace(learned, delete_all=self.swept.get(skill, learned.delete_all)))
         return tuple(result)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atoms, Predicate, Variable
+from resync_robot.core.symbols import Atoms, Operator, Predicate, Variable
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.learning.dataset import Dataset, Run, Step
 from resync_robot.learning.operators import (
@@ -140,6 +140,20 @@ def test_what_a_skill_adds_is_no_exception_to_what_it_ends_of_all_others() -> No
     truth = [frozenset({other if i % 2 else named}) if now else frozenset({named}) for i in range(12) for now in (1, 0)]
     dataset = Dataset((State({}),) * 24, ((0,),) * 24, (run,), {"Push": (ROBOT, BLOCK)})
     assert swept(dataset, truth, [HOLDS], {"Push": (R, B0)})["Push"] == {HOLDS(R, Variable("?any1", BLOCK))}
+
+
+def test_what_only_ever_went_before_is_not_needed_unless_it_was_said_or_failures_say_so() -> None:
+    """A drawer that was always opened after the lid was off does not need that."""
+    said = Operator("Op", (R, B0), frozenset({EMPTY(R)}), frozenset(), frozenset())
+    empty = column(EMPTY(R), [1] * 10, [0] * 10, [1] * 8, learned=False)
+    dry, telling = (column(FREE(B0), [1] * 10, failed=failed, learned=False) for failed in ([1] * 8, [0] * 8))
+    for free, needed in ((dry, {EMPTY(R)}), (telling, {EMPTY(R), FREE(B0)})):
+        op = learn_operator("Op", (R, B0), [empty, free], OperatorConfig(), said)
+        assert op is not None and op.preconditions == needed
+    # Of a recovery nothing was said, and the published formulation asks no failures.
+    for config, before in ((OperatorConfig(), None), (OperatorConfig(use_failures=False), said)):
+        op = learn_operator("Op", (R, B0), [empty, dry], config, before)
+        assert op is not None and op.preconditions == {EMPTY(R), FREE(B0)}
 
 
 def test_a_skill_that_never_succeeded_has_no_operator() -> None:
