@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
+from resync_robot.commands.evaluated_episode import METHODS, Job, methods_context, run_job
 from resync_robot.core.damage import check_shape
 from resync_robot.core.errors import ConfigError, RenderError, UnknownNameError
 from resync_robot.core.options import DEFAULT_DOMAIN, MOST_EPISODES, MOST_STEPS, MOST_WORKERS, check_range, check_seeds
@@ -17,20 +18,9 @@ from resync_robot.evaluation.report import EPISODE, EpisodeRow, count_once, repo
 from resync_robot.given import Given, Several
 
 if TYPE_CHECKING:
-    from resync_robot.core.rig import Rig
-    from resync_robot.core.skill import GroundSkill
-    from resync_robot.core.symbols import Atoms
-    from resync_robot.core.task import Domain, Task
-    from resync_robot.core.world import World
-    from resync_robot.deployment.uncertain_atoms import SampledAbstraction
-    from resync_robot.planning.execute import EpisodeResult, Listener, Model
-    from resync_robot.planning.search import Plan
-    from resync_robot.sim_training.physics.solver import Solver
+    from resync_robot.core.task import Domain
 
 _log = logging.getLogger(__name__)
-
-METHODS = ("resync", "rc", "initial", "human")
-"""This project's, Recovery Chaining, the given model alone, and the right sequence of skills given by a person."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,17 +81,6 @@ class EvaluateConfig:
     json: Given[Path] = None
     """File for the counts by library and seed, the success rates, every episode, and the provenance. With
     --perception-only: for the errors, and a picture of how honest their covariance is beside it."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """One episode to run."""
-
-    library: int
-    method: str
-    scenario: str
-    seed: int
-    episode: int
 
 
 def evaluate(config: EvaluateConfig) -> None:
@@ -217,14 +196,14 @@ def evaluate(config: EvaluateConfig) -> None:
         parse=_parse,
     )
     drawn = (config.worlds, physics == "reference", config.horizon)
-    context = partial(_context, domain.spec, tuple(map(str, paths)), perception, skills, *drawn, rig)
+    context = partial(methods_context, domain.spec, tuple(map(str, paths)), perception, skills, *drawn, rig)
     # Written before the table, so that it is kept where nobody reads that.
     with file.open(config.resume), _naming_the_way_without_pictures():
         if note:
             _log.info(note)
         with Stages(("evaluate",)) as bars, bars.stage("evaluate") as progress:
             todo = file.todo
-            for job, row in zip(todo, parallel_map(_run, todo, context, config.workers), strict=True):
+            for job, row in zip(todo, parallel_map(run_job, todo, context, config.workers), strict=True):
                 file.add(job, row)
                 if not row.success:
                     _log.info(
@@ -271,139 +250,3 @@ def _parse(entry: Any) -> tuple[Job, EpisodeRow]:
         raise ValueError(f"'steps' is {entry['steps']!r}, and should be a number")
     row = EpisodeRow(**{**entry, "skills_run": tuple(entry["skills_run"])})
     return Job(row.library, row.method, row.scenario, row.seed, row.episode), row
-
-
-class _Method(Protocol):
-    def __call__(self, world: World, *, goal: Atoms, listener: Listener) -> EpisodeResult: ...
-
-
-@dataclass(frozen=True)
-class _Context:
-    domain: Domain
-    rig: Rig | None
-    perception: str
-    worlds: str
-    solver: Solver
-    given: Model
-    methods: dict[tuple[int, str], tuple[SampledAbstraction, _Method]]
-
-
-def _context(
-    domain_name: str,
-    paths: tuple[str, ...],
-    perception: str,
-    skills: str,
-    worlds: str,
-    reference: bool,
-    horizon: int | None,
-    rig: Rig | None,
-) -> _Context:
-    from resync_robot.baselines.human_sequence import run_human_sequence
-    from resync_robot.baselines.recovery_chaining import chaining
-    from resync_robot.core.library import load_library
-    from resync_robot.deployment.uncertain_atoms import with_sampled_atoms
-    from resync_robot.library_models import camera_recovery, initial_model, learned_model
-    from resync_robot.planning.execute import ExecuteSettings, plan_and_execute
-    from resync_robot.sim_training.domains import find_domain
-    from resync_robot.sim_training.physics.solver import REFERENCE, SHIPPED
-
-    domain = find_domain(domain_name)
-    initial, settings = with_sampled_atoms(initial_model(domain, rig)), ExecuteSettings(horizon=horizon)
-    methods: dict[tuple[int, str], tuple[SampledAbstraction, _Method]] = {}
-    for i, path in enumerate(paths):
-        library = load_library(Path(path))
-        # First, for it says what a library lacks.
-        recovery = camera_recovery(domain, rig, library) if skills == "camera" and rig is not None else None
-        learned = with_sampled_atoms(learned_model(domain, rig, library, [recovery] if recovery else []))
-        methods[i, "resync"] = learned.abstraction, partial(plan_and_execute, model=learned, settings=settings)
-        with_skill = with_sampled_atoms(replace(initial, skills=learned.skills))
-        reaction = chaining(domain, library, learned.skills)
-        given = initial.abstraction
-        methods[i, "rc"] = given, partial(plan_and_execute, model=with_skill, settings=settings, reaction=reaction)
-        methods[i, "initial"] = given, partial(plan_and_execute, model=initial, settings=settings)
-        if domain.expert is not None:
-            methods[i, "human"] = given, partial(run_human_sequence, model=with_skill, expert=domain.expert)
-    solver = REFERENCE if reference else SHIPPED
-    return _Context(domain, rig, perception, worlds, solver, initial, methods)
-
-
-def _open(context: _Context, task: Task) -> tuple[World, bool]:
-    """The world of a task, and whether it stands still."""
-    from resync_robot.library_models import embodiment_of
-
-    if context.rig is not None:
-        from resync_robot.sim_training.physics.world import SimWorld
-
-        arm = SimWorld(task, context.rig)
-        return arm, arm.settles()
-    own = embodiment_of(context.domain, None).simulate(task)
-    return own, own.reset(task.initial)
-
-
-def _run(context: _Context, job: Job) -> EpisodeRow:
-    import time
-
-    from resync_robot.planning.execute import EpisodeEnd, EpisodeResult, Listener, begin_after
-    from resync_robot.sim_training.domains import world_task
-
-    class Notes(Listener):
-        """Of an episode that ends in a fault it is all there is."""
-
-        def __init__(self) -> None:
-            self.skills: list[str] = []
-            self.planning_s = 0.0
-
-        def on_plan(self, plan: Plan, reason: str) -> None:
-            self.planning_s = max(self.planning_s, plan.seconds)
-
-        def on_skill_start(self, skill: GroundSkill) -> None:
-            self.skills.append(str(skill))
-
-    abstraction, method = context.methods[job.library, job.method]
-    before = context.domain.scenario(job.scenario).begins_after
-    notes = Notes()
-    begun = time.monotonic()
-    # A scene that does not stand still is not a task, nor one in which the episode cannot begin as it should; the next
-    # one takes its place.
-    for attempt in range(20):
-        episode = job.episode + MOST_EPISODES * attempt
-        task = world_task(context.domain, job.scenario, job.seed, episode, context.worlds, context.solver)
-        world, stands = _open(context, task)
-        if stands and begin_after(world, context.given, before, task.objects):
-            break
-    rig = context.rig
-    if context.perception == "oracle" or rig is None:
-        result = method(world, goal=task.goal, listener=notes)
-        reached = result.success
-    else:
-        from resync_robot.core.errors import MotionError, PerceptionError
-        from resync_robot.deployment.devices import open_simulated
-        from resync_robot.deployment.world import DeployedWorld
-        from resync_robot.hardware.base import RobotError
-
-        with open_simulated(task, rig) as devices:
-            seen = DeployedWorld(
-                devices.robot, devices.cameras, rig, task.objects, devices.truth, abstraction=abstraction
-            )
-            try:
-                if begin_after(seen, context.given, before, task.objects):
-                    result = method(seen, goal=task.goal, listener=notes)
-                else:
-                    result = EpisodeResult(
-                        EpisodeEnd.FAULT, "the episode could not begin as its scenario says", (), (), task.initial
-                    )
-                # What the robot believes at the end does not count; what is true does.
-                reached = task.goal <= context.given.abstraction.true_atoms(devices.truth())
-            except (PerceptionError, MotionError, RobotError) as error:
-                result, reached = EpisodeResult(EpisodeEnd.FAULT, error.what, (), (), devices.truth()), False
-    return EpisodeRow(
-        **vars(job),
-        success=reached,
-        end=result.end.value,
-        reason=result.reason,
-        skills=len(notes.skills),
-        planning_s=notes.planning_s,
-        seconds=time.monotonic() - begun,
-        skills_run=tuple(notes.skills),
-        steps=result.steps,
-    )

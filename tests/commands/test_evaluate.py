@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from resync_robot import __version__, cli
 from resync_robot.commands import evaluate
-from resync_robot.commands.evaluate import Job
+from resync_robot.commands.evaluated_episode import Job
 from resync_robot.core.errors import ConfigError, RenderError, UnknownNameError
 from resync_robot.core.intervals import wilson
 from resync_robot.core.library import Library, save_library
