@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from resync_robot.core.episode import Answer, Ask, Episode
+from resync_robot.core.episode import Episode
+from resync_robot.core.episode_records import Answer, Ask
 from resync_robot.core.errors import EpisodeError, ResyncError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.state import State

@@ -17,7 +17,7 @@ from resync_robot.core.joints import JointTarget
 from resync_robot.core.world import CameraFrame, Cutout, Glimpse, Window
 
 if TYPE_CHECKING:
-    from resync_robot.core.episode import Timing
+    from resync_robot.core.episode_records import Timing
     from resync_robot.hardware.clearance import Obstacle
     from resync_robot.hardware.workspace import Workspace
 

@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from resync_robot.core.episode import Ask, Episode, Joints, Picture
+from resync_robot.core.episode import Episode
+from resync_robot.core.episode_records import Ask, Joints, Picture
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.state import State

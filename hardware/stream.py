@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from resync_robot.core.episode import Timing
+from resync_robot.core.episode_records import Timing
 from resync_robot.core.errors import MotionError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget
 from resync_robot.core.rig import Rig

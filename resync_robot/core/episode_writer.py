@@ -22,7 +22,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from resync_robot.core import ros_messages
-from resync_robot.core.episode import FORMAT, Answer, EpisodeMeta, EventKind, Timing, plain
+from resync_robot.core.episode import FORMAT
+from resync_robot.core.episode_records import Answer, EpisodeMeta, EventKind, Timing, plain
 from resync_robot.core.episode_schemas import SCHEMAS
 from resync_robot.core.errors import DiskError, EpisodeError, ResyncError
 from resync_robot.core.files import disk_fault, unwritable

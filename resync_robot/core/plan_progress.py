@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from resync_robot.core.episode import Episode, Event, EventKind, Plan
+from resync_robot.core.episode import Episode
+from resync_robot.core.episode_records import Event, EventKind, Plan
 
 
 class Standing(Enum):

@@ -169,7 +169,7 @@ def run_episode(
 ) -> EpisodeOutcome:
     """Run one episode to whatever end; the robot is let go and the recording closed then."""
     from resync_robot.console import say
-    from resync_robot.core.episode import EpisodeMeta, EventKind
+    from resync_robot.core.episode_records import EpisodeMeta, EventKind
     from resync_robot.core.episode_writer import EpisodeWriter
     from resync_robot.deployment.devices import open_simulated
     from resync_robot.deployment.recorder import Recorder

@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from resync_robot.core import spatial
-from resync_robot.core.episode import Episode, Joints
+from resync_robot.core.episode import Episode
+from resync_robot.core.episode_records import Joints
 from resync_robot.core.errors import ConfigError, EpisodeError
 from resync_robot.core.files import JPEG, MP4, PNG, WEBP, FileKind, check_output, unwritable, write_bytes
 from resync_robot.core.plan_progress import plan_progress, progress_at

@@ -7,7 +7,8 @@ from bisect import bisect_right
 import numpy as np
 from jaxtyping import UInt8
 
-from resync_robot.core.episode import SCENE_VIEW, Episode
+from resync_robot.core.episode import Episode
+from resync_robot.core.episode_records import SCENE_VIEW
 from resync_robot.core.errors import EpisodeError
 from resync_robot.deployment import film_panels as panels
 from resync_robot.deployment.film import Frames, decoded

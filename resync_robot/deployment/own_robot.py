@@ -10,7 +10,7 @@ import numpy as np
 
 from resync_robot.console import say
 from resync_robot.core.embodiment import TrainingSimulator
-from resync_robot.core.episode import SCENE_VIEW, EpisodeMeta
+from resync_robot.core.episode_records import SCENE_VIEW, EpisodeMeta
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ConfigError
 from resync_robot.core.library import Library

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import cv2
 import numpy as np
 
-from resync_robot.core.episode import Answer, EventKind, Timing
+from resync_robot.core.episode_records import Answer, EventKind, Timing
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ResyncError
 from resync_robot.core.skill import GroundSkill, SkillOutcome

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from resync_robot.core.episode import Episode, EventKind, Plan
+from resync_robot.core.episode import Episode
+from resync_robot.core.episode_records import EventKind, Plan
 from resync_robot.core.errors import ConfigError, EpisodeError
 from resync_robot.core.rig import Rig
 from resync_robot.core.skill import GroundSkill

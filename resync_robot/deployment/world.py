@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from resync_robot.core import spatial
-from resync_robot.core.episode import Answer, Ask, Timing
+from resync_robot.core.episode_records import Answer, Ask, Timing
 from resync_robot.core.errors import InterruptedMotionError, PerceptionError, UnknownNameError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig

@@ -18,7 +18,8 @@ import pytest
 from resync_robot import cli
 from resync_robot.commands import deploy
 from resync_robot.commands.deploy import DeployConfig
-from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
+from resync_robot.core.episode import read_episode
+from resync_robot.core.episode_records import EpisodeMeta, EventKind
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import RenderError
 from resync_robot.core.library import save_library

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from resync_robot import cli
-from resync_robot.core.episode import Episode, EventKind, read_episode
+from resync_robot.core.episode import Episode, read_episode
+from resync_robot.core.episode_records import EventKind
 from resync_robot.core.errors import RenderError
 from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import GroundSkill

@@ -13,7 +13,8 @@ import pytest
 
 from resync_robot.commands.review import ReviewConfig, review
 from resync_robot.core import spatial
-from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
+from resync_robot.core.episode import read_episode
+from resync_robot.core.episode_records import EpisodeMeta, EventKind
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ConfigError, EpisodeError, ResyncError
 from resync_robot.core.joints import ARM_JOINTS, JointTarget

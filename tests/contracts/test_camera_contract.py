@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
-from resync_robot.core.episode import Answer, Ask, EpisodeMeta, read_episode
+from resync_robot.core.episode import read_episode
+from resync_robot.core.episode_records import Answer, Ask, EpisodeMeta
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig

@@ -18,7 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from resync_robot.core.episode import FORMAT, Answer, Ask, EpisodeMeta, EventKind, Timing, mend_episode, read_episode
+from resync_robot.core.episode import FORMAT, mend_episode, read_episode
+from resync_robot.core.episode_records import Answer, Ask, EpisodeMeta, EventKind, Timing
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.joints import JointTarget
@@ -380,7 +381,7 @@ def test_a_full_disk_keeps_what_can_be_read_and_nothing_else(room, tmp_path):
         import resource, signal
         from pathlib import Path
         import numpy as np
-        from resync_robot.core.episode import EpisodeMeta
+        from resync_robot.core.episode_records import EpisodeMeta
         from resync_robot.core.episode_writer import EpisodeWriter
         from resync_robot.core.errors import DiskError
         from resync_robot.core.rig import load_rig
@@ -413,7 +414,7 @@ def test_a_killed_process_loses_about_a_second(tmp_path):
         import os, signal, time
         from pathlib import Path
         import numpy as np
-        from resync_robot.core.episode import EpisodeMeta
+        from resync_robot.core.episode_records import EpisodeMeta
         from resync_robot.core.episode_writer import EpisodeWriter
         from resync_robot.core.rig import load_rig
         meta = EpisodeMeta.of(load_rig(), library_hash="", domain="", scenario="", goal="", seed=0, backend="sim")

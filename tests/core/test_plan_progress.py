@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from resync_robot.core.episode import EpisodeMeta, EventKind, read_episode
+from resync_robot.core.episode import read_episode
+from resync_robot.core.episode_records import EpisodeMeta, EventKind
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.plan_progress import Standing, plan_progress, progress_at
 from resync_robot.core.rig import load_rig

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from resync_robot.core import spatial
-from resync_robot.core.episode import EpisodeMeta
+from resync_robot.core.episode_records import EpisodeMeta
 from resync_robot.core.joints import ARM_JOINTS
 from resync_robot.core.machines import ARMS, GRIPPERS
 from resync_robot.core.rig import Rig, load_rig

@@ -14,7 +14,8 @@ import pytest
 from mcap.writer import Writer
 
 from resync_robot.core import spatial
-from resync_robot.core.episode import Answer, Ask, EpisodeMeta, EventKind, Timing, mend_episode, read_episode
+from resync_robot.core.episode import mend_episode, read_episode
+from resync_robot.core.episode_records import Answer, Ask, EpisodeMeta, EventKind, Timing
 from resync_robot.core.episode_schemas import SCHEMAS
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget

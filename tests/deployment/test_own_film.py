@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from resync_robot.core.episode import SCENE_VIEW, Episode, EpisodeMeta, read_episode
+from resync_robot.core.episode import Episode, read_episode
+from resync_robot.core.episode_records import SCENE_VIEW, EpisodeMeta
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import EpisodeError
 from resync_robot.deployment import film

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from resync_robot import cli
-from resync_robot.core.episode import SCENE_VIEW, EventKind, read_episode
+from resync_robot.core.episode import read_episode
+from resync_robot.core.episode_records import SCENE_VIEW, EventKind
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.library import save_library
 from resync_robot.core.symbols import ROUND

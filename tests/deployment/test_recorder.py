@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from resync_robot.core.episode import Episode, EpisodeMeta, EventKind, Timing, read_episode
+from resync_robot.core.episode import Episode, read_episode
+from resync_robot.core.episode_records import EpisodeMeta, EventKind, Timing
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import load_rig

@@ -15,7 +15,8 @@ from mcap.records import Channel, Message
 
 from resync_robot import cli
 from resync_robot.core import ros_messages
-from resync_robot.core.episode import Answer, Ask, Episode, EpisodeMeta, EventKind, read_episode
+from resync_robot.core.episode import Episode, read_episode
+from resync_robot.core.episode_records import Answer, Ask, EpisodeMeta, EventKind
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import ConfigError, PerceptionError, RenderError
 from resync_robot.core.joints import JointTarget

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from resync_robot.core.episode import Answer, Ask, Episode, EpisodeMeta, read_episode
+from resync_robot.core.episode import Episode, read_episode
+from resync_robot.core.episode_records import Answer, Ask, EpisodeMeta
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.joints import JointTarget

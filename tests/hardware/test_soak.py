@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from resync_robot.core.episode import EpisodeMeta, read_episode
+from resync_robot.core.episode import read_episode
+from resync_robot.core.episode_records import EpisodeMeta
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.rig import Rig

@@ -12,7 +12,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from resync_robot.core.episode import Episode, EventKind
+from resync_robot.core.episode import Episode
+from resync_robot.core.episode_records import EventKind
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.files import unwritable, write_bytes
 from resync_robot.core.plan_progress import PlanProgress, Standing, plan_progress

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 import rerun as rr
 
-from resync_robot.core.episode import EpisodeMeta, read_episode
+from resync_robot.core.episode import read_episode
+from resync_robot.core.episode_records import EpisodeMeta
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.vocabulary import BLOCK, ROBOT, TYPES

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from resync_robot.commands.review import ReviewConfig, review
-from resync_robot.core.episode import EpisodeMeta, read_episode
+from resync_robot.core.episode import read_episode
+from resync_robot.core.episode_records import EpisodeMeta
 from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.state import State
 from resync_robot.core.symbols import ROUND, SE2, SE3, Type

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from resync_robot.core import fittings
-from resync_robot.core.episode import EpisodeMeta
+from resync_robot.core.episode_records import EpisodeMeta
 from resync_robot.core.machines import ARMS
 from resync_robot.core.recorded_rig import RecordedRig
 from resync_robot.core.rig import load_rig
