@@ -12,14 +12,16 @@ from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX
 from resync_robot.policies.fittings import in_a_way
-from resync_robot.policies.grasp import finger_clearance
+from resync_robot.policies.grasp import SPARE, finger_clearance
 
 REGION = np.array([[0.34, 0.60], [-0.36, 0.36]])
 """x and y in the world, m, between which things are put down: what a round of pictures shows well."""
 PITCH = 0.02
 """m between two places that are considered."""
-LEAST_ROOM = 0.042
+ROOM = 0.042
 """m from the block to the nearest wall or block: an open finger, thickness and all, with 15 mm to spare a side."""
+CLEAR = 2 * SPARE
+"""m to the nearest wall or block of what has to be clear in any case: as much again is lost in putting it down."""
 ENOUGH_ROOM = 0.060
 """m of room beyond which more of it is worth no longer way."""
 ANOTHER = 0.08
@@ -30,16 +32,23 @@ Places = Float[np.ndarray, "n 3"]
 
 
 def free_places(
-    state: State, carried: Collection[Object], width: float, near: np.ndarray, reaches: Callable[[Places], np.ndarray]
+    state: State,
+    carried: Collection[Object],
+    width: float,
+    needs: Float[np.ndarray, "k 2"],
+    near: np.ndarray,
+    reaches: Callable[[Places], np.ndarray],
 ) -> list[np.ndarray]:
-    """Places where a block of this width has room on all sides, whichever way it is turned, and is in the way of no
-    drawer; the best first.
+    """Places where a block of this width can be put down and picked again, in the way of no drawer; the best first.
 
-    The table comes before the floor of a box: what is dragged out of a corner there needs the room. Then comes the
-    place with more room, up to ENOUGH_ROOM, then the nearer one.
+    It has ROOM there on all sides, whichever way it is turned; where a full scene has no such place, what it needs as
+    it is turned now. The table comes before the floor of a box: what is dragged out of a corner there needs the room.
+    Then comes the place with more room, up to ENOUGH_ROOM, then the nearer one.
 
     Args:
         carried: what is in the hand, and so no obstacle.
+        needs: from the middle of the block to what has to be clear in any case, as the hand is turned: its own corners
+            and those of the open fingers, m.
         near: (2,) where the hand is, m.
         reaches: says of (n, 3) places which ones the hand reaches.
 
@@ -55,8 +64,12 @@ def free_places(
         within = _inside(state, box, xy)
         ground[within], inside = state.get(box, "z")[0], inside | within
     places = np.column_stack([xy, ground])
-    free = (room >= LEAST_ROOM) & ~in_a_way(state, xy, width / np.sqrt(2))
+    unused = ~in_a_way(state, xy, width / np.sqrt(2))
+    free = (room >= ROOM) & unused
     free[free] = reaches(places[free])
+    if not free.any():
+        free = (finger_clearance(state, xy[:, None] + needs, 0.0, others).min(1) > CLEAR) & unused
+        free[free] = reaches(places[free])
     order = np.lexsort((np.linalg.norm(xy - near, axis=1), -np.minimum(room, ENOUGH_ROOM), inside))
     found: list[np.ndarray] = []
     for place in places[order[free[order]]]:

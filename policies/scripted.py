@@ -18,7 +18,7 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, ROBOT
 from resync_robot.core.world import ArmObservation
 from resync_robot.policies.cartesian import Blocked, Dropped, Hand, Motion, Step, run_motion
-from resync_robot.policies.grasp import best_approach, best_yaw, carried_with, travel_height
+from resync_robot.policies.grasp import best_approach, best_yaw, carried_with, finger_corners, travel_height
 from resync_robot.policies.placing import Places, free_places
 
 RATE_HZ = 50.0
@@ -177,9 +177,15 @@ def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scri
     carried = carried_with(state, held)
     width = float(state.get(held, "size_x", "size_y").max())
     above = travel_height(state, carried=held)
-    # The hand keeps its heading: wherever there is room, there is room on all sides.
+    # The hand keeps its heading, and with it what its fingers need.
+    opening = width + 2 * max(s.release_clearance, s.approach_clearances[-1])
+    fingers = finger_corners(np.zeros(2), hand.yaw, opening, rig.gripper)
+    body = width / 2 * np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), -1).reshape(-1, 2)
+    needs = np.vstack([fingers, body @ hand.rotation(hand.yaw)[:2, :2].T])
     block_to_tip = np.array([0.0, 0.0, state.get(held, "size_z")[0] / 2]) - hand.rotation(hand.yaw) @ tip_T_held[:3, 3]
-    places = free_places(state, carried, width, hand.position[:2], lambda p: reached(p + block_to_tip, above, hand))
+    places = free_places(
+        state, carried, width, needs, hand.position[:2], lambda p: reached(p + block_to_tip, above, hand)
+    )
     if not places:
         return SkillOutcome(SkillEnd.REFUSED, f"no free place within reach to put {held} down")
     reason = ""

@@ -71,7 +71,8 @@ def test_the_way_of_a_drawer_is_the_same_however_far_it_is_open(opening: float) 
 
 def test_nothing_is_put_down_on_a_lid_or_where_a_drawer_opens() -> None:
     state = scene()
-    for x, y, _ in free_places(state, (B0,), scenes.WIDTH, np.array([0.48, 0.0]), lambda p: np.ones(len(p), bool)):
+    here, corners = np.array([0.48, 0.0]), scenes.WIDTH / 2 * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
+    for x, y, _ in free_places(state, (B0,), scenes.WIDTH, corners, here, lambda p: np.ones(len(p), bool)):
         place = np.array([[x, y]])
         assert all(solid.away(place)[0] > scenes.WIDTH / 2 for solid in footprints(state))
         assert not in_a_way(state, place, scenes.WIDTH / 2)[0]
