@@ -51,7 +51,7 @@ from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 from lerobot.policies.factory import make_pre_post_processors
 
-VERSION = 3
+VERSION = 4
 RETRAIN = "train a new one: resync-robot train-sim"
 IMAGES = tuple(f"observation.images.{view}" for view in VIEWS)
 STATE, ACTION = "observation.state", "action"
@@ -117,12 +117,14 @@ def make_config(s: DiffusionSettings, device: str) -> DiffusionConfig:
 
 
 class Heads(nn.Module):
-    """What else can be read from the features that the diffusion is conditioned on."""
+    """What else can be read from the features that the diffusion is conditioned on; `free` is of where the block is,
+    in the units of `BLOCK_MEAN` and `BLOCK_SPREAD`, and of nothing else."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
         self.done = nn.Sequential(nn.Linear(features, 64), nn.ReLU(), nn.Linear(64, 1))
         self.block = nn.Sequential(nn.Linear(features, 64), nn.ReLU(), nn.Linear(64, len(BLOCK_NAMES)))
+        self.free = nn.Sequential(nn.Linear(len(BLOCK_NAMES), 32), nn.ReLU(), nn.Linear(32, 1))
 
 
 class DiffusionStudent(nn.Module):
@@ -198,11 +200,12 @@ class DiffusionStudent(nn.Module):
         features = self.features(seen, torch.as_tensor(state, dtype=torch.float32, device=self.device))
         noise = torch.zeros(len(seen), self.horizon, len(ACTION_NAMES), device=self.device)
         chunk = self.policy.diffusion.conditional_sample(len(seen), global_cond=features, noise=noise)
-        steps = self.post(chunk)
+        steps, block = self.post(chunk), self.heads.block(features)
         return Prediction(
             steps.cpu().numpy().astype(np.float64),
             torch.sigmoid(self.heads.done(features))[:, 0].cpu().numpy(),
-            BLOCK_MEAN + BLOCK_SPREAD * self.heads.block(features).cpu().numpy(),
+            torch.sigmoid(self.heads.free(block))[:, 0].cpu().numpy(),
+            BLOCK_MEAN + BLOCK_SPREAD * block.cpu().numpy(),
         )
 
     def save(self, folder: Path, rig: Rig) -> None:
@@ -250,9 +253,7 @@ def load_student(folder: Path, rig: Rig | None = None, device: str = "cpu") -> D
         )
         _check_statistics(folder, pre)
         heads = Heads(_features(policy))
-        # Older policies have a head more, which told cameras apart; geometry does so now.
-        stored = load_file(folder / "heads.safetensors").items()
-        heads.load_state_dict({name: values for name, values in stored if not name.startswith("view.")})
+        heads.load_state_dict(load_file(folder / "heads.safetensors"))
     except PolicyError:
         raise
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError, TypeError, AttributeError) as error:

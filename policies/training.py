@@ -196,6 +196,8 @@ class Trainer:
             "action": ((predicted - clean) ** 2 * valid).sum() / valid.sum().clamp(min=1),
             "done": s.done_weight * F.binary_cross_entropy_with_logits(heads.done(features)[:, 0], batch["done"]),
             "block": s.block_weight * F.mse_loss(heads.block(features), batch["block"]),
+            # By where the block is, and not where it is seen: else blurred eyes would blur the line as well.
+            "free": s.done_weight * F.binary_cross_entropy_with_logits(heads.free(batch["block"])[:, 0], batch["done"]),
         }
 
     def _normalised(self, chunk: Tensor) -> Tensor:

@@ -63,7 +63,8 @@ class Prediction:
 
     Attributes:
         steps: (n, horizon, 3) m, the next steps of the hand, of which the first begins when the present one ends.
-        done: (n,) probability that there is nothing left to do.
+        done: (n,) probability that there is nothing left to do, by the pictures.
+        free: (n,) the same, by where it sees the block alone.
         block: (n, 7), as far as it can be seen: in m from the tip to the middle of the block's top in the hand's axes,
             and the block's distance to the nearer wall on each axis of the box, up to WIDEST_GAP; then how far its
             upward axis, of length 1, leans forward and left.
@@ -71,17 +72,17 @@ class Prediction:
 
     steps: Float[np.ndarray, "n h 3"]
     done: Float[np.ndarray, " n"]
+    free: Float[np.ndarray, " n"]
     block: Float[np.ndarray, "n 7"]
 
 
-DONE, SEEN_FREE, DONE_IN_A_ROW = 0.5, 0.03, 2
-"""A policy is believed to be done when it says so, above this probability, while it sees the block so far from the
-walls (m), and all that so often in a row."""
+DONE, DONE_IN_A_ROW = 0.5, 2
+"""A policy is believed to be done when it says so, above this probability, and so often in a row."""
 
 
 def says_done(said: Prediction) -> Bool[np.ndarray, " n"]:
     """Does it hold its recovery for finished, and agree with itself about that?"""
-    return (said.done > DONE) & (said.block[:, GAPS].min(1) > SEEN_FREE)
+    return (said.done > DONE) & (said.free > DONE)
 
 
 LEANS, LET_GO, BESIDE = 0.25, 0.02, 0.05

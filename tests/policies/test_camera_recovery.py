@@ -60,7 +60,7 @@ class Scripted:
     step: tuple[float, float, float] = (0.01, 0.0, 0.0)
     done_at: int = 10_000
     away: float = 0.0
-    gap: float = 0.05
+    free: float = 1.0
     lean: float = 0.0
     up: float = -0.06
     seconds: float = 0.0
@@ -74,7 +74,8 @@ class Scripted:
         return Prediction(
             np.tile(np.array(self.step), (1, 8, 1)),
             np.array([float(self.asked >= self.done_at)]),
-            np.array([[self.away, 0.0, self.up, self.gap, 0.05, self.lean, 0.0]]),
+            np.array([self.free]),
+            np.array([[self.away, 0.0, self.up, 0.05, 0.05, self.lean, 0.0]]),
         )
 
 
@@ -123,8 +124,8 @@ def test_a_hand_that_slid_off_comes_back_over_where_the_policy_sees_the_block(aw
     assert np.abs(np.diff(level[:, :2], axis=0)).max() < 0.2 * 0.02, "no faster than 0.2 m/s"
 
 
-def test_a_policy_that_says_done_beside_a_wall_is_not_believed() -> None:
-    outcome, _ = run(Scripted(done_at=3, gap=0.01))
+def test_a_policy_that_says_done_of_a_block_that_it_sees_stuck_is_not_believed() -> None:
+    outcome, _ = run(Scripted(done_at=3, free=0.1))
     assert outcome.ending is not SkillEnd.DONE
 
 

@@ -242,7 +242,7 @@ class Rising:
         n = len(state)
         assert pictures.shape == (n, len(VIEWS), PICTURE, PICTURE, 3)
         steps = np.tile([0.0, 0.0, 0.01], (n, 8, 1))
-        return Prediction(steps, np.full(n, self.done), np.full((n, len(BLOCK_NAMES)), 0.05))
+        return Prediction(steps, np.full(n, self.done), np.ones(n), np.full((n, len(BLOCK_NAMES)), 0.05))
 
 
 def test_a_student_is_judged_by_the_truth_not_by_its_word() -> None:
