@@ -37,6 +37,7 @@ from resync_robot.learning.camera_view import (
     BLOCK_MEAN,
     BLOCK_NAMES,
     BLOCK_SPREAD,
+    GAPS,
     PICTURE,
     STATE_NAMES,
     VIEWS,
@@ -51,7 +52,8 @@ from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 from lerobot.policies.factory import make_pre_post_processors
 
-VERSION = 4
+VERSION, BEFORE = 4, 3
+"""What is written, and what is read as well: without `free`."""
 RETRAIN = "train a new one: resync-robot train-sim"
 IMAGES = tuple(f"observation.images.{view}" for view in VIEWS)
 STATE, ACTION = "observation.state", "action"
@@ -124,7 +126,17 @@ class Heads(nn.Module):
         super().__init__()
         self.done = nn.Sequential(nn.Linear(features, 64), nn.ReLU(), nn.Linear(64, 1))
         self.block = nn.Sequential(nn.Linear(features, 64), nn.ReLU(), nn.Linear(64, len(BLOCK_NAMES)))
-        self.free = nn.Sequential(nn.Linear(len(BLOCK_NAMES), 32), nn.ReLU(), nn.Linear(32, 1))
+        self.free: nn.Module = nn.Sequential(nn.Linear(len(BLOCK_NAMES), 32), nn.ReLU(), nn.Linear(32, 1))
+
+
+class FarFromWalls(nn.Module):
+    """`Heads.free` of a policy from before that: what taught it went on until a block was 40 mm from both walls."""
+
+    FREE = 0.03
+
+    def forward(self, block: Tensor) -> Tensor:
+        gaps = torch.as_tensor(BLOCK_MEAN)[GAPS] + torch.as_tensor(BLOCK_SPREAD)[GAPS] * block.cpu()[:, GAPS].double()
+        return (gaps.min(1).values[:, None] - self.FREE) / 0.001
 
 
 class DiffusionStudent(nn.Module):
@@ -233,10 +245,10 @@ def load_student(folder: Path, rig: Rig | None = None, device: str = "cpu") -> D
         stamp = json.loads(read_text(folder / "resync.json"))
     except (OSError, ValueError) as error:
         raise PolicyError(f"there is no camera policy in {folder}: {error}", RETRAIN) from None
-    if not isinstance(stamp, dict) or stamp.get("version") != VERSION or set(stamp.get("cameras", {})) != set(VIEWS):
-        found = stamp.get("version") if isinstance(stamp, dict) else None
+    found = stamp.get("version") if isinstance(stamp, dict) else None
+    if found not in (BEFORE, VERSION) or set(stamp.get("cameras", {})) != set(VIEWS):
         raise PolicyError(
-            f"the camera policy in {folder} is of version {found}; this program reads version {VERSION}, "
+            f"the camera policy in {folder} is of version {found}; this program reads versions {BEFORE} and {VERSION}, "
             f"with the cameras {', '.join(VIEWS)}",
             RETRAIN,
         )
@@ -253,7 +265,11 @@ def load_student(folder: Path, rig: Rig | None = None, device: str = "cpu") -> D
         )
         _check_statistics(folder, pre)
         heads = Heads(_features(policy))
-        heads.load_state_dict(load_file(folder / "heads.safetensors"))
+        if found == BEFORE:
+            heads.free = FarFromWalls()
+        # Some have a head more, which told cameras apart; geometry does so now.
+        stored = load_file(folder / "heads.safetensors").items()
+        heads.load_state_dict({name: values for name, values in stored if not name.startswith("view.")})
     except PolicyError:
         raise
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError, TypeError, AttributeError) as error:

@@ -66,6 +66,27 @@ def test_a_saved_policy_gives_the_same_answers(student: DiffusionStudent, saved:
     assert before.steps.shape == (2, SMALL.horizon, 3)
 
 
+def test_a_policy_from_before_asks_for_room_on_both_sides(
+    student: DiffusionStudent, saved: Path, tmp_path: Path
+) -> None:
+    """Those that come with the program are such policies."""
+    from safetensors.torch import load_file, save_file
+
+    older = tmp_path / "Recover"
+    shutil.copytree(saved, older)
+    heads = {name: values for name, values in load_file(older / "heads.safetensors").items() if "free" not in name}
+    save_file({**heads, "view.0.0.weight": torch.zeros(32, 16)}, older / "heads.safetensors")
+    stamp = json.loads((older / "resync.json").read_text(encoding="utf-8"))
+    (older / "resync.json").write_text(json.dumps({**stamp, "version": 3}), encoding="utf-8")
+    loaded = load_student(older, RIG)
+    np.testing.assert_allclose(loaded(*seen()).steps, student(*seen()).steps, atol=1e-6)
+    block = (
+        np.array([[0.0] * 3 + gaps + [0.0] * 2 for gaps in ([0.05, 0.05], [0.05, 0.02])]) - BLOCK_MEAN
+    ) / BLOCK_SPREAD
+    free = torch.sigmoid(loaded.heads.free(torch.as_tensor(block, dtype=torch.float32)))[:, 0]
+    assert free[0] > 0.9 and free[1] < 0.1
+
+
 def test_plans_demonstrate_in_the_size_that_their_policy_wants() -> None:
     assert all(SIZES[plan.size].picture == plan.picture for plan in PLANS.values())
 
