@@ -19,17 +19,17 @@
   )
   (:action CloseDrawer
     :parameters (?r - robot ?d - drawer)
-    :precondition (and (DrawerOpen ?d) (HandEmpty ?r) (LidOff))
+    :precondition (and (HandEmpty ?r))
     :effect (and (DrawerClosed ?d) (not (DrawerOpen ?d)))
   )
   (:action Insert
     :parameters (?r - robot ?b0 - block ?b1 - block)
-    :precondition (and (Holding ?r ?b0) (LidOff) (Outside ?b0) (Outside ?b1) (ReadyInsert ?b1) (not-On-exists-block0 ?b1))
+    :precondition (and (Holding ?r ?b0) (LidOff) (Outside ?b1) (ReadyInsert ?b1) (not-On-exists-block0 ?b1))
     :effect (and (HandEmpty ?r) (On ?b0 ?b1) (On-exists-block0 ?b1) (not (Holding ?r ?b0)) (not (not-On-exists-block0 ?b1)) (forall (?any0 - robot ?any1 - block) (not (HoldingTower ?any0 ?any1 ?b0))) (forall (?any1 - block ?any2 - block) (not (HoldingTower ?r ?any1 ?any2))) (forall (?any1 - block) (not (HoldingTower ?r ?any1 ?b0))))
   )
   (:action OpenDrawer
     :parameters (?r - robot ?d - drawer)
-    :precondition (and (DrawerClosed ?d) (HandEmpty ?r) (LidOff))
+    :precondition (and (HandEmpty ?r))
     :effect (and (DrawerOpen ?d) (not (DrawerClosed ?d)))
   )
   (:action Pick
@@ -39,17 +39,17 @@
   )
   (:action PickTower
     :parameters (?r - robot ?b0 - block ?b1 - block)
-    :precondition (and (HandEmpty ?r) (LidOff) (On ?b0 ?b1) (Outside ?b0) (Outside ?b1) (ReadyInsert ?b1))
+    :precondition (and (HandEmpty ?r) (LidOff) (On ?b0 ?b1) (Outside ?b1) (ReadyInsert ?b1))
     :effect (and (Holding ?r ?b1) (HoldingTower ?r ?b0 ?b1) (not (HandEmpty ?r)))
   )
   (:action Place
     :parameters (?r - robot ?b - block)
-    :precondition (and (Holding ?r ?b) (LidOff) (Outside ?b))
+    :precondition (and (Holding ?r ?b))
     :effect (and (HandEmpty ?r) (not (Holding ?r ?b)))
   )
   (:action PlaceTower
     :parameters (?r - robot ?b0 - block ?b1 - block ?d - drawer)
-    :precondition (and (DrawerOpen ?d) (Holding ?r ?b1) (HoldingTower ?r ?b0 ?b1) (LidOff) (On ?b0 ?b1) (Outside ?b0) (Outside ?b1))
+    :precondition (and (DrawerOpen ?d) (Holding ?r ?b1) (HoldingTower ?r ?b0 ?b1))
     :effect (and (HandEmpty ?r) (In ?b1 ?d) (not (Holding ?r ?b1)) (not (HoldingTower ?r ?b0 ?b1)) (not (Outside ?b0)) (not (Outside ?b1)))
   )
   (:action Recover
