@@ -155,6 +155,7 @@ class Atom:
 
     predicate: Predicate
     args: tuple[Term, ...]
+    _hash: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         types = self.predicate.types
@@ -162,6 +163,14 @@ class Atom:
             given = ", ".join(f"{a} - {a.type.name}" for a in self.args)
             wanted = ", ".join(t.name for t in types)
             raise PlanningError(f"{self.predicate.name}({given}) is ill-typed: it takes ({wanted})")
+        object.__setattr__(self, "_hash", hash((self.predicate.name, self.args)))
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Hashes of words differ from process to process.
+        return Atom, (self.predicate, self.args)
 
     def substitute(self, binding: Mapping[Any, Term]) -> Atom:
         """The same atom with its terms replaced; terms without a binding stay."""

@@ -64,6 +64,10 @@ class LmCut:
         self._landmarks[node.state] = found
         return sum(cost for _, cost in found)
 
+    def at_least(self, node: SearchNode) -> float:
+        """The same, or less, at no price: by the landmarks of the state before alone."""
+        return sum(cost for _, cost in self._still_needed(node))
+
     def _still_needed(self, node: SearchNode) -> list[Landmark]:
         if node.parent is None:
             return []

@@ -120,6 +120,7 @@ def plan(
     start = time.perf_counter()
     problem = _Problem(operators, objects, atoms, goal, costs=costs, likely=likely, failed=failed)
     estimate = problem.cost_to_go(heuristic)
+    at_least = estimate.at_least if isinstance(estimate, LmCut) else None
     created = 0
 
     def counted(node: SearchNode) -> float:
@@ -130,7 +131,7 @@ def plan(
         return estimate(node)
 
     try:
-        found = _cheapest(problem, _remembered(counted))
+        found = _cheapest(problem, _remembered(counted), at_least)
     except _TooManyNodes:
         raise PlanningError(f"no plan for {_words(goal)} within {max_nodes} search nodes") from None
     if found is None:
@@ -139,15 +140,25 @@ def plan(
     return Plan(problem.steps(found), created, time.perf_counter() - start, atoms | relied, relied)
 
 
-def _cheapest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] | None:
-    """A*. The heuristic says what the rest costs at least."""
+def _cheapest(
+    problem: _Problem, h: Callable[[SearchNode], float], at_least: Callable[[SearchNode], float] | None = None
+) -> list[Any] | None:
+    """A*. The heuristic says what the rest costs at least.
+
+    Args:
+        at_least: never more than `h`, and cheaper: a node is queued by it, and asks for `h` when its turn comes.
+    """
     root = make_root_node(problem.task.initial_state)
     best = {root.state: 0}
     queue = [(0.0, 0.0, 0, root)] if h(root) < INFINITY else []
     pushed = 0
     while queue:
-        _, _, _, node = heapq.heappop(queue)
+        _, guessed, number, node = heapq.heappop(queue)
         if node.g > best[node.state]:
+            continue
+        if at_least is not None and (left := h(node)) > guessed and node is not root:
+            if left < INFINITY:
+                heapq.heappush(queue, (node.g + left, left, number, node))
             continue
         if problem.task.goal_reached(node.state):
             operators: list[Any] = node.extract_solution()
@@ -155,7 +166,7 @@ def _cheapest(problem: _Problem, h: Callable[[SearchNode], float]) -> list[Any] 
         holding = problem.circumstances(node.state)
         for op, state in problem.task.get_successor_states(node.state):
             child = SearchNode(state, node, op, node.g + problem.cost(op, holding) + problem.extra(op, node, holding))
-            if child.g >= best.get(state, INFINITY) or (left := h(child)) == INFINITY:
+            if child.g >= best.get(state, INFINITY) or (left := (at_least or h)(child)) == INFINITY:
                 continue
             best[state] = child.g
             pushed += 1

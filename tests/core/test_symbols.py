@@ -1,7 +1,11 @@
 """Grounding and lifting mirror each other; what is ill-typed cannot be built."""
 
 import json
+import os
 import pickle
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -141,3 +145,22 @@ def test_a_type_comes_back_from_a_file(kind: Type) -> None:
     back = Type.from_json(kind.name, json.loads(json.dumps(kind.to_json())))
     told = ("name", "features", "pose", "extents", "symmetry", "exact")
     assert [getattr(back, n) for n in told] == [getattr(kind, n) for n in told] and back == kind
+
+
+def test_an_atom_is_the_same_in_another_process() -> None:
+    """Where words have other hashes."""
+    atoms = frozenset({ON(b, c) for b in (BLOCK("b0"), BLOCK("b1")) for c in (BLOCK("b2"),)})
+    code = (
+        "import pickle, sys; from tests.core.test_symbols import BLOCK, ON; "
+        "print(ON(BLOCK('b1'), BLOCK('b2')) in pickle.loads(sys.stdin.buffer.read()))"
+    )
+    for seed in ("1", "2"):
+        told = subprocess.run(
+            [sys.executable, "-c", code],
+            input=pickle.dumps(atoms),
+            capture_output=True,
+            check=True,
+            cwd=Path(__file__).parents[2],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+        )
+        assert told.stdout.strip() == b"True"
