@@ -272,6 +272,8 @@ class _Problem:
             )
         )
         number = {atom: i for i, atom in enumerate(self._asked, start=1)}
+        self._bases = frozenset(i for atom, i in number.items() if atom.predicate in self._costs.bases)
+        self._follow: dict[frozenset[int], frozenset[Atom]] = {}
         self._likely = [(a, p) for a, p in sorted((likely or {}).items()) if a in number and a not in atoms]
 
         def facts(of: Iterable[Atom]) -> frozenset[int]:
@@ -316,8 +318,10 @@ class _Problem:
 
     def circumstances(self, state: frozenset[int]) -> frozenset[Atom]:
         """What the costs of steps hang on, in a state of the search."""
-        holding = [self._asked[i - 1] for i in state if 0 < i <= len(self._asked)]
-        return self._costs.circumstances(holding, self._objects)
+        bases = state & self._bases
+        if bases not in self._follow:
+            self._follow[bases] = self._costs.circumstances([self._asked[i - 1] for i in bases], self._objects)
+        return self._follow[bases].union(self._asked[i - 1] for i in state if 0 < i <= len(self._asked))
 
     def cost(self, op: PyperplanOperator, holding: Collection[Atom]) -> int:
         """Of an operator in these `circumstances`, in COST_UNIT."""
