@@ -57,7 +57,8 @@ STAGE_PRESETS = {
 
 def _for_an_arm(preset: StagePreset, **budgets: int) -> StagePreset:
     """A run of an arm's skill takes as long as a hundred actions, so fewer are asked for; and it has to press a block
-    in three dimensions, which takes a larger net."""
+    in three dimensions, which takes a larger net. Nearly all succeed after half of the least actions; the rest is for
+    the noise of exploration to go, for a skill acts without it."""
     r = preset.recovery
     ppo = replace(r.ppo, std_end=PpoSettings().std_end, anneal_from=0.0, stop_at=min(r.ppo.stop_at, 0.95))
     recovery = replace(

@@ -112,10 +112,10 @@ def test_a_file_that_is_no_report_is_not_replaced(library: Path, capsys: pytest.
 
 def damage(library: Path, how: str) -> str:
     """Spoils a library; returns a word that the error must hold."""
-    manifest = json.loads((library / "library.json").read_text())
+    manifest = json.loads((library / "library.json").read_text("utf-8"))
     weights = library / "skills" / "Recover.safetensors"
     if how == "another version":
-        (library / "library.json").write_text(json.dumps({**manifest, "version": 99}))
+        (library / "library.json").write_text(json.dumps({**manifest, "version": 99}), "utf-8")
         return "version 99"
     if how == "truncated":
         weights.write_bytes(weights.read_bytes()[:-7])
@@ -126,7 +126,7 @@ def damage(library: Path, how: str) -> str:
     elif how == "missing":
         weights.unlink()
     elif how == "no manifest":
-        (library / "library.json").write_text("{}")
+        (library / "library.json").write_text("{}", "utf-8")
         return "version None"
     return "Recover.safetensors"
 
@@ -169,7 +169,7 @@ def test_the_table_is_lost_before_the_file_is(library: Path, tmp_path: Path, mon
     monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", pretended)
     with pytest.raises(BrokenPipeError):
         evaluate.evaluate(evaluate.EvaluateConfig(library=(library,), json=tmp_path / "rows.json"))
-    assert len(json.loads((tmp_path / "rows.json").read_text())["episodes"]) == 10 * len(CORNERED.scenarios)
+    assert len(json.loads((tmp_path / "rows.json").read_text("utf-8"))["episodes"]) == 10 * len(CORNERED.scenarios)
 
 
 # -- every world counts once ------------------------------------------------------------------------------------------
@@ -203,7 +203,7 @@ def test_what_is_named_twice_counts_once(
     assert f"| resync | 0.50 [{low:.2f}, {high:.2f}] of 2 |" in (shown := capsys.readouterr().out)
     assert shown.count("| resync |") == 1
     assert note in caplog.text
-    written = json.loads((tmp_path / "rows.json").read_text())
+    written = json.loads((tmp_path / "rows.json").read_text("utf-8"))
     assert len(written["episodes"]) == written["provenance"]["planned"] == 2
     assert [row["episodes"] for row in written["rows"]] == [2]
     assert len(written["provenance"]["libraries"]) == 1

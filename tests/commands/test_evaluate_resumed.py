@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ CORNERED = find_domain(DOMAIN)
 
 
 def without_times(file: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(file.read_text())
+    content: dict[str, Any] = json.loads(file.read_text("utf-8"))
     for episode in content["episodes"]:
         episode.update(planning_s=0, seconds=0, reason="")
     for row in content["rows"]:
@@ -47,13 +46,13 @@ def test_what_was_finished_is_kept_named_and_gone_on_with(
     assert quick(*args, file) == 130
     assert f"5 of 12 are finished and kept in {file}; go on with: --resume --json {file}" in caplog.text
     assert "| resync |" not in capsys.readouterr().out, "no table of some of them"
-    assert len(json.loads(file.read_text())["episodes"]) == 5
+    assert len(json.loads(file.read_text("utf-8"))["episodes"]) == 5
     monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", pretended)
     assert quick(*args, file) == 2
     assert "holds an unfinished evaluation (5 of 12)" in capsys.readouterr().err
     assert quick(*args, file, "--resume") == 0
     assert "of 6 |" in capsys.readouterr().out
-    reasons = [e["reason"] for e in json.loads(file.read_text())["episodes"]]
+    reasons = [e["reason"] for e in json.loads(file.read_text("utf-8"))["episodes"]]
     assert reasons == [f"the {i}th" for i in (*range(5), *range(7))], "the first five were not run again"
     assert quick(*args, tmp_path / "whole.json") == 0
     assert without_times(file) == without_times(tmp_path / "whole.json")
@@ -174,20 +173,20 @@ def test_a_file_that_is_no_evaluation_is_not_gone_on_with(
     content: str, quick: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "rows.json"
-    file.write_text(content)
+    file.write_text(content, "utf-8")
     assert quick("--scenarios", "s0", "--json", file, "--resume") == 2
     shown = capsys.readouterr().err
     assert str(file) in shown and "  -> " in shown and "Traceback" not in shown
-    assert file.read_text() == content
+    assert file.read_text("utf-8") == content
 
 
 def test_a_damaged_row_is_named(quick: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "rows.json"
     args = ("--scenarios", "s0", "--episodes", "2", "--json", file)
     assert quick(*args) == 0
-    content = json.loads(file.read_text())
+    content = json.loads(file.read_text("utf-8"))
     content["episodes"][1]["seconds"] = "long"
-    file.write_text(json.dumps(content))
+    file.write_text(json.dumps(content), "utf-8")
     assert quick(*args, "--resume") == 2
     assert "'seconds' is 'long', and should be of type float" in capsys.readouterr().err
 
@@ -213,7 +212,7 @@ def test_the_file_is_written_now_and_then(
     def watched(*args: Any) -> Iterator[EpisodeRow]:
         for row in pretended(*args):
             yield row
-            counts.append(len(json.loads(file.read_text())["episodes"]) if file.exists() else 0)
+            counts.append(len(json.loads(file.read_text("utf-8"))["episodes"]) if file.exists() else 0)
 
     monkeypatch.setattr("resync_robot.evaluation.result_file.KEEP_EVERY_S", 0.0)
     monkeypatch.setattr("resync_robot.sim_training.parallel.parallel_map", watched)
@@ -231,13 +230,13 @@ def test_ctrl_c_keeps_what_was_finished(library: Path, tmp_path: Path) -> None:
     ]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert run.stderr is not None
+    # A line comes with a finished episode, and not before.
     for line in run.stderr:
         if line.startswith("evaluate:"):
             break
-    time.sleep(10)
     os.killpg(run.pid, 2)
     shown = run.stderr.read()
     assert run.wait(60) == 130
-    finished = json.loads(file.read_text())["episodes"]
+    finished = json.loads(file.read_text("utf-8"))["episodes"]
     assert 0 < len(finished) < 400
     assert f"{len(finished)} of 400 are finished and kept in {file}" in shown and "Traceback" not in shown

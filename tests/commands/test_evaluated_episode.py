@@ -67,7 +67,7 @@ def test_episodes_are_run_counted_and_written(
     assert cli.main(["evaluate", *args, "--workers", "1", "--json", str(file)]) == 0
     # The given model alone is stuck in the corner, by physics.
     assert "| initial | 0.00 [0.00, 0.66] of 2 |" in capsys.readouterr().out
-    written = json.loads(file.read_text())
+    written = json.loads(file.read_text("utf-8"))
     assert set(written) == {"rows", "summary", "episodes", "provenance"}
     (row,) = written["rows"]
     assert (row["domain"], row["scenario"], row["split"], row["method"]) == (DOMAIN, "s0", "train", "initial")
@@ -90,7 +90,7 @@ def test_an_episode_can_begin_with_a_block_in_the_hand(library: Path, tmp_path: 
     file = tmp_path / "rows.json"
     args = ["--library", str(library), "--methods", "initial", "--scenarios", "s7", "--episodes", "1"]
     assert cli.main(["evaluate", *args, "--workers", "1", "--json", str(file)]) == 0
-    (episode,) = json.loads(file.read_text())["episodes"]
+    (episode,) = json.loads(file.read_text("utf-8"))["episodes"]
     assert episode["skills_run"] == ["Insert(r, b1, b0)"] * ExecuteSettings().max_failures
     assert (episode["success"], episode["end"]) == (False, "stuck")
 
@@ -99,7 +99,7 @@ def test_the_shipped_library_puts_the_block_down_frees_the_base_and_goes_on(tmp_
     file = tmp_path / "rows.json"
     args = ["--methods", "resync", "--scenarios", "s7", "--seeds", "1000", "--episodes", "1"]
     assert cli.main(["evaluate", *args, "--workers", "1", "--json", str(file)]) == 0
-    (episode,) = json.loads(file.read_text())["episodes"]
+    (episode,) = json.loads(file.read_text("utf-8"))["episodes"]
     assert episode["success"]
     assert episode["skills_run"] == ["Place(r, b1)", "Recover(r, b0, box)", "Pick(r, b1)", "Insert(r, b1, b0)"]
 
@@ -117,6 +117,6 @@ def test_with_the_right_sequence_given_the_shipped_skills_reach_the_goal(
     file = tmp_path / "rows.json"
     where = ["--methods", "human", "--scenarios", scenario, "--seeds", str(seed), "--episodes", "1", "--workers", "1"]
     assert cli.main(["evaluate", *where, "--perception", "oracle", "--skills", "state", "--json", str(file)]) == 0
-    written = json.loads(file.read_text())
+    written = json.loads(file.read_text("utf-8"))
     assert [(e["success"], e["skills_run"]) for e in written["episodes"]] == [(True, skills)]
     assert {r["recoveries_per_episode"] for r in written["rows"]} == {1.0}
