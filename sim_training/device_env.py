@@ -103,6 +103,7 @@ class DeviceEnv:
         self.steps = torch.zeros(scenes.count, dtype=torch.long, device=device)
         self.commanded = torch.zeros(scenes.count, 3, device=device)
         self.lag = torch.zeros(scenes.count, device=device)
+        self.needed = torch.zeros(scenes.count, device=device)
         self.x = torch.zeros(scenes.count, view.PROJECTED_SIZE, device=device)
         self._kept: list[tuple[int, State, bool]] = []
         self.reset(self._everyone)
@@ -120,7 +121,7 @@ class DeviceEnv:
         self.steps += 1
         self._judge()
         ended = self.steps >= self.problem.stage.horizon
-        success = self._likely >= self._claims.claimed_from
+        success = self._likely >= self.needed.clamp(min=self._claims.claimed_from)
         if not self.model.fitted:
             success = torch.zeros_like(success)
         self._keep(success, ended)
@@ -144,6 +145,8 @@ class DeviceEnv:
         self.scenes.reset(list(zip(which.tolist(), task.tolist(), self.worlds.array(poses), q, strict=True)))
         self.commanded[which] = tip
         self.lag[which] = v.lag * self._uniform(n)
+        worth = self.settings.worth_a_try
+        self.needed[which] = worth + max(0.0, self.settings.surest - worth) * self._uniform(n)
         self.steps[which] = 0
         self.x[which] = self._read(which)
         self._judge()

@@ -53,6 +53,9 @@ class JudgedSettings:
     confirmed: float = 0.95
     """...and share of claims that are to hold: each that does not raises that probability, each that does lowers it
     again a little."""
+    surest: float = 0.0
+    """An episode may need more: up to this, drawn anew for each. A policy whose episodes all end on one line comes to
+    rest on it, and whoever sees that line a little wrong stops short of it."""
     patience: int = 3
     """Actions after a run that failed until the next one in the same episode."""
     believed: float = 0.75
@@ -73,6 +76,10 @@ class JudgedSettings:
     def claims(self) -> Claims:
         """None was made yet."""
         return Claims(self.worth_a_try, self.confirmed, self.believed)
+
+    def needed(self, rng: np.random.Generator) -> float:
+        """The probability of success that a new episode needs at least to be over."""
+        return float(rng.uniform(self.worth_a_try, self.surest)) if self.surest > self.worth_a_try else self.worth_a_try
 
 
 AT_ONCE = 50
@@ -256,7 +263,7 @@ class RecoveryEnv:
         believed."""
         s, success = self.settings, np.zeros(self.count, dtype=bool)
         for i, scene in enumerate(self._scenes):
-            claimed = self._likely[i] >= self._claims.claimed_from or not self.model.fitted
+            claimed = self._likely[i] >= max(scene.needed, self._claims.claimed_from) or not self.model.fitted
             claimed &= scene.rested >= s.patience
             # Without shaping nothing but verdicts counts.
             if claimed and s.shaping > 0 and self._claims.believed and self._rng.random() >= s.checked:
@@ -290,7 +297,7 @@ class RecoveryEnv:
     def _begun(self) -> Scene:
         """A new episode, in which the skill can be run at once."""
         scene = self._episodes.begin()
-        scene.rested = self.settings.patience
+        scene.rested, scene.needed = self.settings.patience, self.settings.needed(self._rng)
         return scene
 
     def _look(self, which: Sequence[int], first: bool = False) -> None:

@@ -27,6 +27,7 @@ class Scene:
         run: what the recovery's interface remembers of it.
         state: now.
         rested: actions since the failed skill was run last.
+        needed: the probability of its success from which on it can be over.
         way: snapshots along it.
     """
 
@@ -36,6 +37,7 @@ class Scene:
     state: State
     steps: int = 0
     rested: int = 0
+    needed: float = 0.0
     way: list[Any] = field(default_factory=list)
 
 

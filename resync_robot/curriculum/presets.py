@@ -64,7 +64,7 @@ def _for_an_arm(preset: StagePreset, **budgets: int) -> StagePreset:
     recovery = replace(
         r,
         attempts=min(r.attempts, 200),
-        judged=replace(r.judged, verdicts=0.01),
+        judged=replace(r.judged, verdicts=0.01, surest=0.95),
         ppo=replace(ppo, least_steps=max(ppo.least_steps, 60_000)),
         elsewhere=0,
         roll_outs=min(r.roll_outs, 60),
