@@ -149,6 +149,7 @@ class Trainer:
             "chunk": torch.from_numpy(self._chunks[rows]).to(device),
             "valid": torch.from_numpy(self._valid[rows]).to(device),
             "done": torch.from_numpy(f.recovered[rows].astype(np.float32)).to(device),
+            "free": torch.from_numpy(f.free[rows].astype(np.float32)).to(device),
             "block": torch.from_numpy(((f.block[rows] - BLOCK_MEAN) / BLOCK_SPREAD).astype(np.float32)).to(device),
         }
 
@@ -197,7 +198,7 @@ class Trainer:
             "done": s.done_weight * F.binary_cross_entropy_with_logits(heads.done(features)[:, 0], batch["done"]),
             "block": s.block_weight * F.mse_loss(heads.block(features), batch["block"]),
             # By where the block is, and not where it is seen: else blurred eyes would blur the line as well.
-            "free": s.done_weight * F.binary_cross_entropy_with_logits(heads.free(batch["block"])[:, 0], batch["done"]),
+            "free": s.done_weight * F.binary_cross_entropy_with_logits(heads.free(batch["block"])[:, 0], batch["free"]),
         }
 
     def _normalised(self, chunk: Tensor) -> Tensor:

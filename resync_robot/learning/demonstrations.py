@@ -16,7 +16,8 @@ class Demonstrations:
         pictures: (n, views, p, p, 3), RGB.
         state: (n, 19), as in `camera_view.STATE_NAMES`.
         action: (n, 3) m, the step that followed the one under way, in the hand's axes.
-        recovered: (n,) was there nothing left to do?
+        recovered: (n,) was it time to stop? A margin beyond where the failed skill begins to succeed.
+        free: (n,) would the failed skill succeed?
         block: (n, 7), as in `camera_view.BLOCK_NAMES`.
         acts: (n,) is the action known? A moment without motion has none.
         segment: (n,) which segment a frame belongs to.
@@ -27,6 +28,7 @@ class Demonstrations:
     state: Float[np.ndarray, "n s"]
     action: Float[np.ndarray, "n 3"]
     recovered: Bool[np.ndarray, " n"]
+    free: Bool[np.ndarray, " n"]
     block: Float[np.ndarray, "n 7"]
     acts: Bool[np.ndarray, " n"]
     segment: Int[np.ndarray, " n"]

@@ -24,8 +24,9 @@ from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ
 from resync_robot.learning.demonstrations import Demonstrations
 from resync_robot.sim_training.demonstrations.rollouts import Segment
 
-VERSION = 6
-"""3 had h264 videos, which do not go into one dataset with others; 4 had no hashes of its files; 5 named no robot."""
+VERSION = 7
+"""3 had h264 videos, which do not go into one dataset with others; 4 had no hashes of its files; 5 named no robot; 6
+did not tell free from recovered."""
 CODEC = "libsvtav1"
 """The same pictures become the same video. x264, as LeRobot calls it, encodes one group of frames in a hundred another
 way each time, and so the same seed led to another policy."""
@@ -33,7 +34,8 @@ QUEUE = 10_000
 """Frames that wait for their encoder. LeRobot drops those that find its queue full, on a busy machine every few."""
 STAMP = "resync.json"
 """Beside LeRobot's own files: version, seeds, rig, and what the files of a shard hash to."""
-RECOVERED, WHERE, ACTS, ENDS = "privileged.recovered", "privileged.block", "segment.acts", "segment.ends_recovered"
+RECOVERED, FREE, WHERE = "privileged.recovered", "privileged.free", "privileged.block"
+ACTS, ENDS = "segment.acts", "segment.ends_recovered"
 
 
 def features(side: int) -> dict[str, dict[str, Any]]:
@@ -44,6 +46,7 @@ def features(side: int) -> dict[str, dict[str, Any]]:
         "observation.state": {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
         "action": {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},
         RECOVERED: {"dtype": "float32", "shape": (1,), "names": ["recovered"]},
+        FREE: {"dtype": "float32", "shape": (1,), "names": ["free"]},
         WHERE: {"dtype": "float32", "shape": (len(BLOCK_NAMES),), "names": list(BLOCK_NAMES)},
         ACTS: {"dtype": "float32", "shape": (1,), "names": ["acts"]},
         ENDS: {"dtype": "float32", "shape": (1,), "names": ["ends"]},
@@ -115,6 +118,7 @@ def _add(dataset: Any, segment: Segment, task: str) -> None:
                 "observation.state": segment.state[i],
                 "action": segment.action[i],
                 RECOVERED: np.array([segment.recovered[i]], dtype=np.float32),
+                FREE: np.array([segment.free[i]], dtype=np.float32),
                 WHERE: segment.block[i],
                 ACTS: np.array([segment.acts[i]], dtype=np.float32),
                 ENDS: np.array([segment.ends], dtype=np.float32),
@@ -190,6 +194,7 @@ def read_shards(folders: Sequence[Path]) -> Demonstrations:
         state=joined("state"),
         action=joined("action"),
         recovered=joined("recovered"),
+        free=joined("free"),
         block=joined("block"),
         acts=joined("acts"),
         segment=np.concatenate([p.segment + o for p, o in zip(parts, offsets, strict=False)]),
@@ -212,6 +217,7 @@ def _read_shard(folder: Path) -> Demonstrations | None:
             columns["observation.state"].astype(np.float32),
             columns["action"].astype(np.float32),
             columns[RECOVERED].reshape(-1) > 0.5,
+            columns[FREE].reshape(-1) > 0.5,
             columns[WHERE].astype(np.float32),
             columns[ACTS].reshape(-1) > 0.5,
             columns["episode_index"],

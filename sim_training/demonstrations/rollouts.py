@@ -7,7 +7,7 @@ carried out. So variety comes from bursts that are not recorded, and each of the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -43,10 +43,20 @@ class Teacher:
     act: Callable[[Tensor], Tensor]
     done: Callable[[Tensor], Tensor]
 
-    def says_done(self, x: Tensor, margin: float = 0.0) -> list[bool]:
-        """Of (n, 27) projected states, in boxes that are narrower by `margin` m at every wall."""
+    def judge(self, x: Tensor, margin: float = 0.0) -> list[Judgement]:
+        """Of (n, 27) projected states: recovered in boxes that are narrower by `margin` m at every wall, free as they
+        are."""
         with torch.no_grad():
-            return [bool(d) for d in self.done(recovery_policy.observe(_narrower(x, margin)))]
+            recovered, free = (self.done(recovery_policy.observe(_narrower(x, m))) for m in (margin, 0.0))
+        return [Judgement(bool(r), bool(f)) for r, f in zip(recovered, free, strict=True)]
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a teacher says of a state: whether to stop there, and whether the failed skill would succeed there."""
+
+    recovered: bool
+    free: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +81,9 @@ class RolloutSettings:
     leaning: float = 0.995
     """Upward part of the block's upward axis below which the teacher is called: most of what goes wrong begins so."""
     margin: float = 0.008
-    """m by which the teacher is told that the box is narrower at every wall. A student that sees gaps a few mm wrong
-    would stop short of the line in half of its attempts if demonstrations ended on it."""
+    """m by which the box is narrower at every wall for the word that it is done. A student that sees gaps a few mm
+    wrong would stop short of the line in half of its attempts if demonstrations ended on it. What the teacher acts on
+    is the box as it is: in a narrower one a block at a wall would stand in the wall, which no policy has seen."""
     lag: float = recovery_policy.LAG
     """Most control steps that an arm is behind its commands."""
     unrecorded_noise: float = 0.0
@@ -87,7 +98,8 @@ class Segment:
         pictures: (n, views, p, p, 3).
         state: (n, 19), as in `camera_view.STATE_NAMES`.
         action: (n, 3) m, the step that followed the one under way.
-        recovered: (n,) was there nothing left to do?
+        recovered: (n,) was it time to stop? A margin beyond where the failed skill begins to succeed.
+        free: (n,) would the failed skill succeed?
         block: (n, 7), as in `camera_view.BLOCK_NAMES`.
         acts: (n,) is the action known? A still moment has none.
         ends: did it end with the recovery, rather than with a burst?
@@ -97,6 +109,7 @@ class Segment:
     state: Float[np.ndarray, "n s"]
     action: Float[np.ndarray, "n 3"]
     recovered: Bool[np.ndarray, " n"]
+    free: Bool[np.ndarray, " n"]
     block: Float[np.ndarray, "n 7"]
     acts: Bool[np.ndarray, " n"]
     ends: bool
@@ -109,7 +122,7 @@ class _Frame:
     seen: Seen
     sent: np.ndarray
     wanted: np.ndarray
-    recovered: bool
+    judged: Judgement
     block: np.ndarray
 
 
@@ -128,7 +141,8 @@ class _Frames:
             np.stack([f.seen.pictures for f in self.taken[:count]]),
             np.stack([state_seen(f.seen.q, f.seen.tip, f.sent, yaw, scanned) for f in self.taken[:count]]),
             to_hand(steps, yaw).astype(np.float32),
-            np.array([f.recovered for f in self.taken[:count]]),
+            np.array([f.judged.recovered for f in self.taken[:count]]),
+            np.array([f.judged.free for f in self.taken[:count]]),
             np.stack([f.block for f in self.taken[:count]]).astype(np.float32),
             np.ones(count, dtype=bool),
             ends,
@@ -159,40 +173,43 @@ class _Run:
         if self.said_done >= DONE_IN_A_ROW or float(up_axis(self.scene.x)[0, 2]) < self.s.leaning:
             self.student_left = 0
 
-    def lead_in(self, seen: Seen, recovered: bool) -> None:
+    def lead_in(self, seen: Seen, judged: Judgement) -> None:
         """Remember the step that begins now, which is not the teacher's. If the teacher's follows, the segment begins
         with this one: what to do next when somebody else's step is under way is what a student has to know most of
         all, first of all at the start, where the hand is at rest.
         """
-        self.led_by = _Frame(seen, np.array(self.goal), np.array(self.goal), recovered, self.scene.block())
+        self.led_by = _Frame(seen, np.array(self.goal), np.array(self.goal), judged, self.scene.block())
 
     def close_segment(self, ends: bool) -> None:
         if len(self.frames.taken) > self.s.least_frames:
             self.segments.append(self.frames.finish(self.scene.yaw, self.scene.scanned, ends))
         self.frames, self.led_by = _Frames(), None
 
-    def teach(self, action: Tensor, recovered: bool) -> None:
+    def teach(self, action: Tensor, judged: Judgement) -> None:
         """Decide where the tip goes in this step, and record it."""
         scene, s = self.scene, self.s
         if self.burst_left > 0:
             self.burst_left -= 1
             self.goal = scene.reach(scene.sent + self.push)
-            self.lead_in(scene.see(), recovered)
+            self.lead_in(scene.see(), judged)
             return
         if not self.frames.taken:
             if self.led_by is None:
                 self.goal = scene.sent
-                self.lead_in(scene.see(), recovered)
+                self.lead_in(scene.see(), judged)
                 return
             self.frames.taken.append(self.led_by)
-        if self.held == 0 and not recovered and self.taught > 1 and self.rng.random() < s.burst_probability:
+        if self.held > 0:
+            # It stays finished where the block comes to rest a little nearer to a wall.
+            judged = replace(judged, recovered=judged.free)
+        if self.held == 0 and not judged.recovered and self.taught > 1 and self.rng.random() < s.burst_probability:
             self.close_segment(ends=False)
             self.burst_left = int(self.rng.integers(*s.burst_steps))
             self.push = self.rng.uniform(-s.burst_size, s.burst_size, 3)
             self.goal = scene.reach(scene.sent + self.push)
-            self.lead_in(scene.see(), recovered)
+            self.lead_in(scene.see(), judged)
             return
-        if recovered or self.held > 0:
+        if judged.recovered or self.held > 0:
             self.held += 1
             self.goal = scene.sent
         else:
@@ -200,10 +217,10 @@ class _Run:
         wanted = self.goal
         if s.unrecorded_noise and self.held == 0:
             self.goal = scene.reach(wanted + self.rng.normal(0.0, s.unrecorded_noise, 3))
-        self.frames.taken.append(_Frame(scene.see(), np.array(self.goal), np.array(wanted), recovered, scene.block()))
+        self.frames.taken.append(_Frame(scene.see(), np.array(self.goal), np.array(wanted), judged, scene.block()))
         self.taught += 1
         if self.held > s.hold:
-            self.success, self.over = recovered, True
+            self.success, self.over = judged.free, True
             self.close_segment(ends=True)
         elif self.taught > s.horizon:
             self.over = True
@@ -233,15 +250,15 @@ def demonstrate(
         if student is not None:
             seen = _advance_students(driven, student)
             for r, o in zip(driven, seen, strict=True):
-                r.lead_in(o, teacher.says_done(r.scene.x, s.margin)[0])
+                r.lead_in(o, teacher.judge(r.scene.x, s.margin)[0])
                 r.call_teacher()
         taught = [r for r in runs if not r.over and r not in driven]
         if taught:
             x = torch.cat([r.scene.x for r in taught])
             with torch.no_grad():
-                actions = teacher.act(recovery_policy.observe(_narrower(x, s.margin)))
-            for r, action, done in zip(taught, actions, teacher.says_done(x, s.margin), strict=True):
-                r.teach(action, done)
+                actions = teacher.act(recovery_policy.observe(x))
+            for r, action, judged in zip(taught, actions, teacher.judge(x, s.margin), strict=True):
+                r.teach(action, judged)
         for r in runs:
             if not r.over:
                 r.scene.step(r.goal)
@@ -270,23 +287,24 @@ def look_around(
     """
     random = torch.Generator().manual_seed(seed)
     s = settings or RolloutSettings()
-    found: list[tuple[np.ndarray, np.ndarray, bool, np.ndarray]] = []
+    found: list[tuple[np.ndarray, np.ndarray, Judgement, np.ndarray]] = []
     for i, start in enumerate(starts):
         scene = RenderedRecovery(start, rig, s.lag, seed + i, s.picture)
         for _ in range(each if scene.stands else 0):
             scene.freeze(random)
             seen = scene.see()
             state = state_seen(seen.q, seen.tip, scene.sent, scene.yaw, scene.scanned)
-            found.append((seen.pictures, state, teacher.says_done(scene.x, s.margin)[0], scene.block()))
+            found.append((seen.pictures, state, teacher.judge(scene.x, s.margin)[0], scene.block()))
     if not found:
         return None
     n = len(found)
-    pictures, states, recovered, blocks = zip(*found, strict=True)
+    pictures, states, judged, blocks = zip(*found, strict=True)
     return Segment(
         np.stack(pictures),
         np.stack(states),
         np.zeros((n, 3), dtype=np.float32),
-        np.array(recovered),
+        np.array([j.recovered for j in judged]),
+        np.array([j.free for j in judged]),
         np.stack(blocks).astype(np.float32),
         np.zeros(n, dtype=bool),
         ends=False,
@@ -353,7 +371,7 @@ def try_student(
                 continue
             stopped = r.said_done >= DONE_IN_A_ROW
             if stopped or step == s.student_horizon - 1:
-                trials[i], r.over = Trial(teacher.says_done(r.scene.x)[0], stopped, step), True
+                trials[i], r.over = Trial(teacher.judge(r.scene.x)[0].free, stopped, step), True
             else:
                 r.scene.step(r.goal)
     return trials

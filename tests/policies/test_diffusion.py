@@ -34,6 +34,7 @@ def demonstrations(n: int = 40, seed: int = 0) -> Demonstrations:
         state=state,
         action=(0.02 * np.tanh(state[:, :3])).astype(np.float32),
         recovered=state[:, 3] > 0,
+        free=state[:, 3] > -0.1,
         block=state[:, 4:11] / 20,
         acts=np.ones(n, dtype=bool),
         segment=np.arange(n) // (n // 4),
@@ -276,7 +277,7 @@ def test_what_free_means_is_learned_from_where_blocks_truly_were() -> None:
     frames.block[:, GAPS] = gaps
     made = DiffusionStudent.create(SMALL, statistics_of(frames), "cpu")
     t = Trainer(made, DistilSettings(batch=16, learning_rate=1e-2), steps=100, seed=4)
-    t.use(replace(frames, recovered=gaps.max(1) > 0.03))
+    t.use(replace(frames, free=gaps.max(1) > 0.03))
     t.run(100, lambda *_: None)
     with torch.no_grad():
         seen_so = torch.as_tensor((frames.block - BLOCK_MEAN) / BLOCK_SPREAD, dtype=torch.float32)

@@ -30,7 +30,7 @@ from resync_robot.learning.camera_view import (
     window_at,
 )
 from resync_robot.learning.failures import PairGaussian
-from resync_robot.learning.recovery_policy import BLOCK, STUD, wall_gaps
+from resync_robot.learning.recovery_policy import BLOCK, STUD, TIP, wall_gaps
 from resync_robot.perception.crop import cut_out
 from resync_robot.sim_training.demonstrations import dataset
 from resync_robot.sim_training.demonstrations.recoveries import RenderedRecovery, tilted
@@ -201,6 +201,7 @@ def test_moments_without_motion_show_blocks_anywhere_and_say_whether_they_are_fr
     assert gaps.min() < 0.015 and gaps.max() > 0.05
     needed = NEEDED + RolloutSettings().margin
     assert not found.recovered[gaps < needed - 1e-3].any() and found.recovered.any()
+    assert not found.free[gaps < NEEDED - 1e-3].any() and (found.free >= found.recovered).all()
     assert look_around([], RIG, STILL, 0) is None
 
 
@@ -229,6 +230,25 @@ def test_demonstrations_end_a_margin_beyond_the_line() -> None:
         settings = RolloutSettings(horizon=12, burst_probability=0.0, margin=margin)
         ends.append([bool(of) for of in demonstrate([nearly], RIG, UPWARDS, 5, settings=settings)])
     assert ends == [[True], [False]]
+
+
+def test_a_teacher_acts_on_the_box_as_it_is_and_only_stops_by_a_narrower_one() -> None:
+    seen = []
+
+    def act(x: torch.Tensor) -> torch.Tensor:
+        seen.append(x)
+        return torch.tensor([[0.0, 0.0, 1.0]]).expand(len(x), 3)
+
+    demonstrate([FREE], RIG, Teacher(act, freed), 5, settings=RolloutSettings(burst_probability=0.0, margin=0.03))
+    np.testing.assert_allclose(seen[0][0, :2], 10 * wall_gaps(_row(FREE))[0], atol=0.02)
+
+
+def test_a_block_within_the_margin_is_free_but_not_a_place_to_stop() -> None:
+    nearly = Start(scenes.scene({"b0": (scenes.CORNER - 0.044, scenes.CORNER - 0.044)}), scenes.B0)
+    x = RenderedRecovery(nearly, RIG, 0.0, seed=1, still=True).x.clone()
+    x[:, TIP][:, 2] += 0.1
+    assert [(j.recovered, j.free) for j in STILL.judge(x, margin=0.008)] == [(False, True)]
+    assert [(j.recovered, j.free) for j in STILL.judge(x)] == [(True, True)]
 
 
 @dataclass
@@ -270,7 +290,9 @@ def segment(n: int = 5, ends: bool = True) -> Segment:
     rng = np.random.default_rng(n)
     pictures = np.kron(rng.integers(0, 255, (n, 3, 8, 8, 3)), np.ones((1, 1, 8, 8, 1))).astype(np.uint8)
     rows = [rng.normal(size=(n, k)).astype(np.float32) for k in (len(STATE_NAMES), 3, len(BLOCK_NAMES))]
-    return Segment(pictures, rows[0], rows[1], rng.random(n) > 0.5, rows[2], np.ones(n, dtype=bool), ends)
+    recovered = rng.random(n) > 0.5
+    free = recovered | (rng.random(n) > 0.5)
+    return Segment(pictures, rows[0], rows[1], recovered, free, rows[2], np.ones(n, dtype=bool), ends)
 
 
 @pytest.fixture(scope="module")
@@ -285,7 +307,7 @@ def test_a_shard_comes_back_as_it_went(shard: Path) -> None:
     written = [segment(5), segment(7, ends=False)]
     assert len(found) == 12 and found.segment.tolist() == [0] * 5 + [1] * 7
     assert found.ends.tolist() == [True] * 5 + [False] * 7
-    for name in ("state", "action", "recovered", "block", "acts"):
+    for name in ("state", "action", "recovered", "free", "block", "acts"):
         np.testing.assert_array_equal(getattr(found, name), np.concatenate([getattr(s, name) for s in written]))
     pictures = np.concatenate([s.pictures for s in written]).astype(int)
     assert np.abs(found.pictures - pictures).mean() < 12, "video loses little"
