@@ -32,6 +32,7 @@ class LmCut:
         given = costs or {}
         self._goal = max(task.facts, default=0) + 1
         self._needs = [sorted(op.preconditions) for op in task.operators] + [sorted(task.goals)]
+        self._count = [len(needs) for needs in self._needs]
         self._makes = [sorted(op.add_effects) for op in task.operators] + [[self._goal]]
         self._costs = [given.get(op.name, 1) for op in task.operators] + [0]
         self._number = {op.name: i for i, op in enumerate(task.operators)}
@@ -75,25 +76,44 @@ class LmCut:
         return [landmark for landmark in self._landmarks.get(node.parent.state, ()) if taken not in landmark[0]]
 
     def _reach(self, state: frozenset[int], costs: list[int]) -> _Reached:
-        """h-max: each fact costs what its cheapest operator does, on top of its dearest precondition."""
+        """h-max: each fact costs what its cheapest operator does, on top of its dearest precondition. Where the goal
+        costs nothing, nobody asks for more."""
         found = _Reached([INFINITY] * (self._goal + 1), [-1] * len(costs))
-        unmet = [len(needs) for needs in self._needs]
-        queue = [(0.0, fact) for fact in sorted(state)]
-        for _, fact in queue:
-            found.value[fact] = 0.0
+        cost_of, dearest, unmet = found.value, found.dearest, self._count.copy()
+        queue: list[tuple[float, int]] = []
+        # What costs nothing needs no order, and is most of all that is looked at.
+        free = sorted(state)
+        for fact in free:
+            cost_of[fact] = 0.0
+        for fact in free:
+            for op in self._needed_by[fact]:
+                unmet[op] -= 1
+                if unmet[op]:
+                    continue
+                dearest[op] = fact
+                cost = float(costs[op])
+                for made in self._makes[op]:
+                    if cost < cost_of[made]:
+                        cost_of[made] = cost
+                        if cost:
+                            heapq.heappush(queue, (cost, made))
+                        else:
+                            free.append(made)
+            if cost_of[self._goal] == 0:
+                return found
         while queue:
             value, fact = heapq.heappop(queue)
-            if value > found.value[fact]:
+            if value > cost_of[fact]:
                 continue
             for op in self._needed_by[fact]:
                 unmet[op] -= 1
                 if unmet[op]:
                     continue
-                found.dearest[op] = fact
+                dearest[op] = fact
                 then = value + costs[op]
                 for made in self._makes[op]:
-                    if then < found.value[made]:
-                        found.value[made] = then
+                    if then < cost_of[made]:
+                        cost_of[made] = then
                         heapq.heappush(queue, (then, made))
         return found
 
@@ -110,7 +130,7 @@ class LmCut:
 
     def _cut(self, state: frozenset[int], plateau: set[int]) -> frozenset[int]:
         """The operators that lead into the plateau from what is reached without it."""
-        unmet = [len(needs) for needs in self._needs]
+        unmet = self._count.copy()
         seen, facts, cut = set(state), list(state), set[int]()
         while facts:
             for op in self._needed_by[facts.pop()]:

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,21 +98,27 @@ class OutcomeCosts:
         Args:
             objects: all there are.
         """
-        if not self._forms:
-            return frozenset(atoms)
-        holding: dict[Predicate, list[tuple[Any, ...]]] = {}
+        follow = (derived for derived, bases, needed in self.derived(atoms, objects) if len(bases) >= needed)
+        return frozenset(atoms).union(follow)
+
+    def derived(
+        self, atoms: Collection[Atom], objects: Collection[Object]
+    ) -> Iterator[tuple[Atom, frozenset[Atom], int]]:
+        """What may follow from these atoms: each with those that count towards it, and how many of them it takes."""
+        by_base: dict[Predicate, list[Atom]] = {form.base: [] for form in self._forms}
         for atom in atoms:
-            holding.setdefault(atom.predicate, []).append(atom.args)
-        follow: set[Atom] = set()
+            if atom.predicate in by_base:
+                by_base[atom.predicate].append(atom)
         for form in self._forms:
-            kept = Counter(form.keeps(args) for args in holding.get(form.base, ()))
-            needed = 1
+            predicate, needed = form.predicate, 1
             if isinstance(form, ForAll):
                 needed = math.prod(sum(o.type == form.base.types[i] for o in objects) for i in form.over)
-                if not needed and not form.predicate.types:
-                    follow.add(form.predicate())
-            follow |= {Atom(form.predicate, args) for args, times in kept.items() if times >= needed}
-        return frozenset(atoms) | follow
+            counted: dict[tuple[Any, ...], list[Atom]] = {} if needed or predicate.types else {(): []}
+            for atom in by_base[form.base]:
+                args: Any = atom.args
+                counted.setdefault(form.keeps(args), []).append(atom)
+            for kept, bases in counted.items():
+                yield Atom(predicate, kept), frozenset(bases), needed
 
     def success(self, step: GroundOperator, atoms: Collection[Atom]) -> float:
         """Probability that the step succeeds where its preconditions and these `circumstances` hold.

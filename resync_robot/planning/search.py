@@ -9,8 +9,9 @@ from __future__ import annotations
 import heapq
 import math
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from pyperplan.heuristics.blind import BlindHeuristic
@@ -230,12 +231,17 @@ def plans(
 
 def ground_all(operators: Iterable[Operator], objects: Iterable[Object]) -> list[GroundOperator]:
     """Every well-typed grounding with distinct objects, sorted by name and objects."""
-    pool = sorted(objects)
-    return [
+    return list(_ground_all(tuple(sorted(operators, key=lambda o: o.name)), tuple(sorted(objects))))
+
+
+@lru_cache(maxsize=8)
+def _ground_all(operators: tuple[Operator, ...], pool: tuple[Object, ...]) -> tuple[GroundOperator, ...]:
+    # An episode plans again and again with the same operators and objects.
+    return tuple(
         op.ground(args, pool)
-        for op in sorted(operators, key=lambda o: o.name)
+        for op in operators
         for args in distinct_products([[o for o in pool if o.type == v.type] for v in op.parameters])
-    ]
+    )
 
 
 class _Problem:
@@ -272,8 +278,13 @@ class _Problem:
             )
         )
         number = {atom: i for i, atom in enumerate(self._asked, start=1)}
-        self._bases = frozenset(i for atom, i in number.items() if atom.predicate in self._costs.bases)
-        self._follow: dict[frozenset[int], frozenset[Atom]] = {}
+        self._derived = [
+            (number[atom], frozenset(number[b] for b in bases if b in number), needed)
+            for atom, bases, needed in self._costs.derived(self._asked, self._objects)
+            if atom in number
+        ]
+        self._hangs = [frozenset(number[a] for a in self._costs.atoms(op)) for op in self.ground]
+        self._known_costs: dict[tuple[int, frozenset[int]], int] = {}
         self._likely = [(a, p) for a, p in sorted((likely or {}).items()) if a in number and a not in atoms]
 
         def facts(of: Iterable[Atom]) -> frozenset[int]:
@@ -316,26 +327,30 @@ class _Problem:
         steps, least = self.heuristic(name), min(self._least, default=round(1.0 / COST_UNIT))
         return lambda node: steps(node) * least
 
-    def circumstances(self, state: frozenset[int]) -> frozenset[Atom]:
-        """What the costs of steps hang on, in a state of the search."""
-        bases = state & self._bases
-        if bases not in self._follow:
-            self._follow[bases] = self._costs.circumstances([self._asked[i - 1] for i in bases], self._objects)
-        return self._follow[bases].union(self._asked[i - 1] for i in state if 0 < i <= len(self._asked))
+    def circumstances(self, state: frozenset[int]) -> frozenset[int]:
+        """A state of the search, and what follows from it that the costs of steps hang on."""
+        return state.union(atom for atom, bases, needed in self._derived if len(bases & state) >= needed)
 
-    def cost(self, op: PyperplanOperator, holding: Collection[Atom]) -> int:
+    def cost(self, op: PyperplanOperator, holding: frozenset[int]) -> int:
         """Of an operator in these `circumstances`, in COST_UNIT."""
         if op.name >= len(self.ground):
             return round(-math.log(self._likely[op.name - len(self.ground)][1]) / COST_UNIT)
-        return round(self._costs.cost(self.ground[op.name], holding) / COST_UNIT)
+        known = op.name, holding & self._hangs[op.name]
+        if known not in self._known_costs:
+            cost = self._costs.cost(self.ground[op.name], self._atoms_of(known[1]))
+            self._known_costs[known] = round(cost / COST_UNIT)
+        return self._known_costs[known]
 
-    def extra(self, op: PyperplanOperator, node: SearchNode, holding: Collection[Atom]) -> int:
+    def _atoms_of(self, facts: frozenset[int]) -> Atoms:
+        return frozenset(self._asked[i - 1] for i in facts if 0 < i <= len(self._asked))
+
+    def extra(self, op: PyperplanOperator, node: SearchNode, holding: frozenset[int]) -> int:
         """What an operator costs besides that failed just now: to begin with it, and to do it in the same circumstances
         as far as these are about things. Where the robot comes from it can change at will."""
         if op.name not in self._failed:
             return 0
         first = node.parent is None or bool(self._first & node.state)
-        same = self._costs.about_things(self.ground[op.name], holding) == self._then[op.name]
+        same = self._costs.about_things(self.ground[op.name], self._atoms_of(holding)) == self._then[op.name]
         often = math.log(1 + self._failed[op.name] / ALIKE) if same else 0.0
         return round((AGAIN * first + often) / COST_UNIT)
 
