@@ -170,6 +170,21 @@ def test_claims_are_believed_while_verdicts_confirm_them() -> None:
     assert pushed(alone, 150) <= alone.judged, "without shaping, verdicts alone count"
 
 
+@pytest.mark.parametrize("surest", [0.0, 0.9])
+def test_each_episode_draws_how_likely_success_has_to_be(surest: float) -> None:
+    env = environment(knowing(), worth_a_try=0.3, surest=surest, between=0.0, patience=1, judged_ends=0.0)
+    env._judge = lambda *_: True
+    likely = []
+    for _ in range(150):
+        _, success, _, truncated = env.step(torch.full((env.count, 1), 0.35))
+        likely += env._likely[success.numpy()].tolist()
+        env.reset(torch.nonzero(success | truncated).flatten())
+    assert len(likely) > 20
+    # Steps are small, so without a draw all end where 0.3 was just passed.
+    assert min(likely) >= 0.3
+    assert (np.quantile(likely, 0.9) > 0.7) == (surest > 0), np.quantile(likely, 0.9)
+
+
 def test_a_model_that_is_refuted_is_not_believed() -> None:
     wrong = SuccessModel(2, 0)
     x = np.random.default_rng(0).normal(size=(400, 2))
