@@ -25,7 +25,7 @@ from resync_robot.core.task import Task
 from resync_robot.learning import recovery_policy as view
 from resync_robot.learning.success_model import SuccessModel
 from resync_robot.sim_training.failed_worlds import FailedWorlds, lagging
-from resync_robot.sim_training.ppo import PpoSettings
+from resync_robot.sim_training.ppo import Environment, PpoSettings
 from resync_robot.sim_training.recovery_env import JudgedSettings, RecoveryEnv, Tried
 from resync_robot.sim_training.recovery_problem import Problem
 from resync_robot.sim_training.shared_env import SharedEnv
@@ -66,7 +66,7 @@ class Scenes(Protocol):
         ...
 
 
-class DeviceEnv:
+class DeviceEnv(Environment):
     """An `Environment` of `ppo` over such scenes, scene i holding task i modulo their number.
 
     Everything it holds is a tensor on the device of the scenes.

@@ -7,12 +7,12 @@ constant one leaves the deterministic policy much worse than its sampled self), 
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -59,26 +59,71 @@ class PpoSettings:
     """Share of resets that build another world: new sizes, box and friction."""
 
 
-class Environment(Protocol):
+@dataclass(frozen=True)
+class Rollout:
+    """What a policy did in n scenes over t steps; tensors of shape (t, n, ...).
+
+    Attributes:
+        observation, action: (t, n, d) and (t, n, k).
+        after: (t, n, d) what was seen behind each action, before another episode began.
+        gained: (t, n) rewards.
+        success, terminated, truncated: (t, n).
+        last: (n, d) what is seen in the end.
+    """
+
+    observation: Tensor
+    action: Tensor
+    after: Tensor
+    gained: Tensor
+    success: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    last: Tensor
+
+    @staticmethod
+    def joined(parts: Sequence[Rollout]) -> Rollout:
+        """The rollouts of some scenes after those of others."""
+        columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(Rollout)}
+        return Rollout(**{name: torch.cat(column, 0 if name == "last" else 1) for name, column in columns.items()})
+
+
+class Environment(ABC):
     """Many scenes of one MDP. What it returns are tensors of shape (count, ...) on its device."""
 
     count: int
 
+    @abstractmethod
     def observe(self) -> Tensor:
         """(count, d) what the policy sees of each scene."""
-        ...
 
+    @abstractmethod
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Reward, success, terminated and truncated of each scene."""
-        ...
 
+    @abstractmethod
     def reset(self, which: Tensor) -> None:
         """Begin new episodes in the scenes of these indices."""
-        ...
 
+    @abstractmethod
     def learn(self) -> object:
         """Between two batches: time for what the environment itself learns."""
-        ...
+
+    def roll(self, net: ActorCritic, std: float, steps: int, random: torch.Generator) -> Rollout:
+        """So many steps of a policy in each scene, whose actions have noise of this standard deviation. Episodes that
+        end give way to new ones."""
+        seen: list[tuple[Tensor, ...]] = []
+        for _ in range(steps):
+            observation = self.observe()
+            with torch.no_grad():
+                mean = net.act(observation)
+            action = mean + std * torch.randn(mean.shape, generator=random, device=mean.device)
+            gained, success, terminated, truncated = self.step(action)
+            seen.append((observation, action, self.observe(), gained, success, terminated, truncated))
+            ended = terminated | truncated
+            if ended.any():
+                self.reset(torch.nonzero(ended).flatten())
+        columns = [*map(torch.stack, zip(*seen, strict=True)), self.observe()]
+        return Rollout(**{f.name: column for f, column in zip(fields(Rollout), columns, strict=True)})
 
 
 Progress = Callable[[int, int, float], None]
@@ -189,56 +234,38 @@ def _collect(
     first: bool,
 ) -> dict[str, Tensor]:
     """Roll the policy for `steps` and estimate advantages (GAE)."""
-    observations, actions, log_probs, values, rewards, ends, bootstraps = [], [], [], [], [], [], []
-    for _ in range(s.steps):
-        observation = env.observe()
-        with torch.no_grad():
-            mean, value = net.act(observation), net.value(observation)
-        action = mean + std * torch.randn(mean.shape, generator=random, device=mean.device)
-        gained, success, terminated, truncated = env.step(action)
-        ended = terminated | truncated
-        with torch.no_grad():
-            # A time-out is not the end of the world: what would have followed still counts.
-            bootstraps.append(torch.where(truncated, net.value(env.observe()), torch.zeros_like(value)))
-        observations.append(observation)
-        actions.append(action)
-        log_probs.append(_log_prob(action, mean, std))
-        values.append(value)
-        rewards.append(gained)
-        ends.append(ended)
+    rolled = env.roll(net, std, s.steps, random)
+    ends = rolled.terminated | rolled.truncated
+    for gained, success, ended in zip(rolled.gained, rolled.success, ends, strict=True):
         running_return += gained
-        if ended.any():
-            finished.extend(success[ended].float().tolist())
-            returns.extend(running_return[ended].tolist())
-            running_return[ended] = 0.0
-            env.reset(torch.nonzero(ended).flatten())
-    stacked = torch.stack(observations)
+        finished.extend(success[ended].float().tolist())
+        returns.extend(running_return[ended].tolist())
+        running_return[ended] = 0.0
     if first:
         # The normaliser is fixed after the first batch, so that old and new actions are scored alike.
-        flat = stacked.flatten(0, 1)
+        flat = rolled.observation.flatten(0, 1)
         net.mean.copy_(flat.mean(0))
         net.scale.copy_(flat.std(0).clamp(min=0.05))
-        with torch.no_grad():
-            means = net.act(stacked)
-            values = list(net.value(stacked))
-            log_probs = list(_log_prob(torch.stack(actions), means, std))
     with torch.no_grad():
-        next_value = net.value(env.observe())
+        values, next_value = net.value(rolled.observation), net.value(rolled.last)
+        log_probs = _log_prob(rolled.action, net.act(rolled.observation), std)
+        # A time-out is not the end of the world: what would have followed still counts.
+        bootstraps = torch.where(rolled.truncated, net.value(rolled.after), 0.0)
     advantages: list[Tensor] = []
     advantage = torch.zeros_like(next_value)
     for t in reversed(range(s.steps)):
         going_on = (~ends[t]).float()
-        delta = rewards[t] + s.gamma * (next_value * going_on + bootstraps[t]) - values[t]
+        delta = rolled.gained[t] + s.gamma * (next_value * going_on + bootstraps[t]) - values[t]
         advantage = delta + s.gamma * s.lam * going_on * advantage
         advantages.insert(0, advantage)
         next_value = values[t]
     advantages_t = torch.stack(advantages)
     batch = {
-        "observation": stacked,
-        "action": torch.stack(actions),
-        "log_prob": torch.stack(log_probs),
+        "observation": rolled.observation,
+        "action": rolled.action,
+        "log_prob": log_probs,
         "advantage": advantages_t,
-        "target": advantages_t + torch.stack(values),
+        "target": advantages_t + values,
     }
     return {k: v.flatten(0, 1) for k, v in batch.items()}
 

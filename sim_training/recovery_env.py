@@ -22,6 +22,7 @@ from resync_robot.core.state import State
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
 from resync_robot.sim_training.claims import Claims
+from resync_robot.sim_training.ppo import Environment
 from resync_robot.sim_training.recovery_episodes import Episodes, Scene
 from resync_robot.sim_training.recovery_problem import Problem
 
@@ -100,7 +101,7 @@ def teach(model: SuccessModel, runs: Tried) -> None:
         model.fit()
 
 
-class RecoveryEnv:
+class RecoveryEnv(Environment):
     """Scenes of one failure, stepped one after the other in this process: an `Environment` of `ppo`.
 
     Args:

@@ -6,6 +6,7 @@ import multiprocessing as mp
 import signal
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import fields
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -18,11 +19,15 @@ from resync_robot.core.library import Record
 from resync_robot.core.state import State
 from resync_robot.learning.recovery_policy import ActorCritic
 from resync_robot.learning.success_model import SuccessModel
+from resync_robot.sim_training.ppo import Environment, Rollout
 from resync_robot.sim_training.recovery_env import RecoveryEnv, Tried, Try, teach
 
 
-class SharedEnv:
+class SharedEnv(Environment):
     """The scenes of several `RecoveryEnv`, each in a process of its own: an `Environment` of `ppo`.
+
+    A policy rolls in each of them without waiting for the others: where a run of the failed skill judges an episode,
+    that takes as long as a hundred actions.
 
     Args:
         make: (number of the process, its scenes) -> its part; must be picklable, so a function of a module or a partial
@@ -74,6 +79,15 @@ class SharedEnv:
         for connection, inside in zip(self._connections, asked, strict=True):
             self._send(connection, "reset", inside)
         self._observation = np.concatenate(self._answers())
+
+    def roll(self, net: ActorCritic, std: float, steps: int, random: torch.Generator) -> Rollout:
+        """As `Environment.roll`, each part with noise of its own."""
+        seeds = torch.randint(2**31, (len(self._parts),), generator=random).tolist()
+        for connection, seed in zip(self._connections, seeds, strict=True):
+            self._send(connection, "roll", (net.shape, net.to_tensors(), std, steps, seed))
+        rolled = Rollout.joined([Rollout(*map(torch.from_numpy, part)) for part in self._answers()])
+        self._observation = rolled.last.numpy()
+        return rolled
 
     def learn(self) -> Tried:
         """The model learns from the runs of all parts since the last time, and all follow it; these runs."""
@@ -181,6 +195,11 @@ def _answer(env: RecoveryEnv, command: str, content: Any) -> Any:
     if command == "reset":
         env.reset(torch.from_numpy(content))
         return env.observe().numpy()
+    if command == "roll":
+        shape, tensors, std, steps, seed = content
+        net = ActorCritic.from_record(Record(shape, tensors))
+        rolled = env.roll(net, std, steps, torch.Generator().manual_seed(seed))
+        return [getattr(rolled, f.name).numpy() for f in fields(Rollout)]
     if command == "taken":
         return env.taken()
     if command == "attempt":

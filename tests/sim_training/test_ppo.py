@@ -14,12 +14,12 @@ import torch
 
 from resync_robot.core.errors import TrainingError
 from resync_robot.learning.recovery_policy import ActorCritic
-from resync_robot.sim_training.ppo import PpoSettings, _found, has_plateaued, train_policy
+from resync_robot.sim_training.ppo import Environment, PpoSettings, _found, has_plateaued, train_policy
 
 TINY = PpoSettings(scenes=4, steps=4, total_steps=48, minibatch=8, epochs=2)
 
 
-class Track:
+class Track(Environment):
     """Points in the plane that are to be led to its origin: the least MDP that a policy can learn."""
 
     def __init__(self, count: int, seed: int, horizon: int = 6) -> None:

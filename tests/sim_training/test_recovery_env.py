@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -300,6 +300,22 @@ def test_processes_step_as_one_environment_and_follow_one_model() -> None:
         before = model.attempts
         env.learn()
         assert model.attempts > before
+
+
+def test_shared_out_scenes_are_rolled_as_they_are_alone() -> None:
+    net, random = ActorCritic(8, 1, 2, 1), torch.Generator().manual_seed(4)
+    model = SuccessModel(2, 0)
+    with SharedEnv(_part, model, 6, 2) as env:
+        rolled = env.roll(net, 0.5, 30, random)
+        seeds = torch.randint(2**31, (2,), generator=torch.Generator().manual_seed(4)).tolist()
+        alone = _part(1, 3).roll(net, 0.5, 30, torch.Generator().manual_seed(seeds[1]))
+        assert rolled.observation.shape == (30, 6, 2) and rolled.action.shape == (30, 6, 1)
+        for field in fields(rolled):
+            mine, whole = getattr(alone, field.name), getattr(rolled, field.name)
+            assert torch.equal(whole[3:] if field.name == "last" else whole[:, 3:], mine), field.name
+        assert torch.equal(env.observe(), rolled.last)
+        going_on = ~(rolled.terminated | rolled.truncated)[:-1]
+        assert torch.equal(rolled.observation[1:][going_on], rolled.after[:-1][going_on]) and not going_on.all()
 
 
 def test_a_process_that_cannot_begin_says_why() -> None:
