@@ -285,17 +285,25 @@ def _read_losses(path: Path) -> list[tuple[float, float]]:
         return [(float(step), float(loss)) for step, loss, *_ in (line.split(",") for line in text.splitlines())]
 
 
+WORLD = 3
+"""Steps of training that take as long as one world of the demonstrations, on two cores."""
+
+
 class _Shares:
     """Turns what is done into the share of the whole, and remembers the last success to show."""
 
     def __init__(self, plan: DistilPlan, progress: Tell) -> None:
         turns = range(plan.rounds + 1)
         self.until = [plan.steps + turn * plan.round_steps for turn in turns]
-        self._progress, self._last = progress, ""
-        self._whole = self.until[-1]
+        self._progress, self._last, self._worlds = progress, "", 0
+        self._whole = self.until[-1] + WORLD * (plan.worlds + plan.rounds * plan.round_worlds)
+
+    def demonstrated(self, shards: int) -> None:
+        """So many more of them are there."""
+        self._worlds += SHARD * shards
 
     def shown(self, step: int, words: str) -> None:
-        self._progress(min(0.99, step / self._whole), words + self._last)
+        self._progress(min(0.99, (step + WORLD * self._worlds) / self._whole), words + self._last)
 
     def tried(self, point: Mapping[str, Any]) -> None:
         self._last = f"; {point['success']} of {point['worlds']} recovered at step {point['step']}"
@@ -326,8 +334,10 @@ def _demonstrations(
     ]
     todo = [s for s in shards if not s.folder.exists()]
     recovered = 0
+    shares.demonstrated(len(shards) - len(todo))
     for i, found in enumerate(parallel_map(_demonstrate, todo, context, workers)):
         recovered += found
+        shares.demonstrated(1)
         step = shares.until[turn - 1] if turn else 0
         shares.shown(step, f"turn {turn}: {recovered} of {(i + 1) * SHARD} worlds demonstrated")
     return [s.folder for s in shards]
