@@ -32,12 +32,14 @@ from resync_robot.learning.camera_view import (
     Scanned,
     careful_steps,
     from_hand,
+    leans,
     says_done,
     state_seen,
     window_at,
 )
 from resync_robot.learning.recovery_policy import project, within_reach
 from resync_robot.policies import camera_order
+from resync_robot.policies.carried_block import ByState, CarriedBlock
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
 from resync_robot.policies.grasp import travel_height
 from resync_robot.policies.state_recovery import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
@@ -82,11 +84,13 @@ def camera_recovery_skill(
     settings: RecoverySkillSettings | None = None,
     monitor: MonitorSettings | None = None,
     hues: Mapping[str, float] | None = None,
+    by_state: ByState | None = None,
 ) -> Skill:
     """A recovery over (robot, block, box) that follows its block by camera.
 
     Args:
         hues: of blocks by name, in [0, 1), by which exchanged cameras are found; without any they are not.
+        by_state: what taught the policy; it acts by the scan where pictures show what cannot be.
 
     Raises:
         UnknownNameError: the rig lacks a camera that the policy looks through.
@@ -97,7 +101,7 @@ def camera_recovery_skill(
     return Skill(
         name,
         (ROBOT, BLOCK, BOX),
-        lambda objects, first: run_motion(_recover(objects, first, rig, policy, s, m, hues or {}), first),
+        lambda objects, first: run_motion(_recover(objects, first, rig, policy, s, m, hues or {}, by_state), first),
         RATE_HZ,
         time_limit_s=45,
         effort_limit=s.effort_limit,
@@ -116,6 +120,7 @@ def _recover(
     s: RecoverySkillSettings,
     m: MonitorSettings,
     hues: Mapping[str, float],
+    by_state: ByState | None,
 ) -> Motion:
     robot, block, box = objects
     hand = Hand(rig, first, 1.0 / RATE_HZ, stray=np.inf)
@@ -129,7 +134,7 @@ def _recover(
             return refused
         _check_order(hand.last, rig, hues)
         with ThreadPoolExecutor(1, "camera-policy") as thread:
-            finished = yield from _drive(hand, (robot, block, box), rig, policy, thread, s, m)
+            finished = yield from _drive(hand, (robot, block, box), rig, policy, thread, s, m, by_state)
         yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
     except Blocked as blocked:
         return SkillOutcome(SkillEnd.BLOCKED, str(blocked))
@@ -151,14 +156,21 @@ def _drive(
     thread: ThreadPoolExecutor,
     s: RecoverySkillSettings,
     m: MonitorSettings,
+    by_state: ByState | None,
 ) -> Generator[JointTarget, ArmObservation, bool]:
     """Steps until the policy says that it is done. Returns whether it did. Raises Stopped."""
     watch, scanned = Watch(m, rig), Scanned.of(hand.last.state, *objects[1:])
     chunks, thinking = Chunks(), _Thinking(policy, thread)
     z, height = hand.last.state.get(objects[1], "z", "size_z")
     guard, astray, done_in_a_row = TipOverGuard(top=z + height / 2), False, 0
+    carried, blind = CarriedBlock(hand.last.state, objects), False
     for _ in range(s.max_decisions):
-        goal = _reach(hand, objects, hand.position + from_hand(watch.step(chunks.next()), hand.yaw))
+        carried.follow(hand.tip())
+        goal = carried.step(by_state, hand.tip(), hand.position) if blind and by_state else None
+        if blind and goal is None:
+            return True
+        if goal is None:
+            goal = _reach(hand, objects, hand.position + from_hand(watch.step(chunks.next()), hand.yaw))
         if chunks.wanting and not thinking.busy:
             thinking.ask(*_observe(hand, goal, scanned, rig, policy.picture, watch))
         if not (yield from press_on(hand, goal, DECISION_STEPS, guard)):
@@ -170,6 +182,11 @@ def _drive(
         if answer is not None:
             prediction, late = answer
             watch.prediction(prediction)
+            refuted = by_state is not None and carried.refutes(prediction, hand.tip())
+            blind = refuted and not leans(prediction)[0]
+            if blind:
+                chunks, astray, done_in_a_row = Chunks(), False, 0
+                continue
             if astray:
                 # The policy comes down where the scan says, or where a block that it has dragged would be, and so on
                 # the edge of one that has moved otherwise. Where that one is, it sees.
@@ -180,7 +197,7 @@ def _drive(
                 astray = not (yield from press_on(hand, over, steps, guard))
                 continue
             chunks.push(careful_steps(prediction)[0], late)
-            done_in_a_row = done_in_a_row + 1 if says_done(prediction)[0] else 0
+            done_in_a_row = done_in_a_row + 1 if says_done(prediction)[0] and not refuted else 0
             if done_in_a_row >= DONE_IN_A_ROW:
                 return True
         watch.motion(hand.tip())

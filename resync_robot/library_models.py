@@ -117,6 +117,7 @@ def camera_recovery(domain: Domain, rig: Rig, library: Library) -> Skill:
         )
     from resync_robot.perception.objects import catalogue_of
     from resync_robot.policies.camera_recovery import camera_recovery_skill
+    from resync_robot.policies.carried_block import ByState
     from resync_robot.policies.diffusion import load_student
 
     # LeRobot reads folders; what is given to it is what was verified, not what may lie in the library by now.
@@ -124,7 +125,9 @@ def camera_recovery(domain: Domain, rig: Rig, library: Library) -> Skill:
         for name, data in library.policies[domain.recovery].items():
             (Path(folder) / name).write_bytes(data)
         student = load_student(Path(folder), rig)
-    return camera_recovery_skill(domain.recovery, student, rig, hues=catalogue_of(rig).hues)
+    return camera_recovery_skill(
+        domain.recovery, student, rig, hues=catalogue_of(rig).hues, by_state=ByState.of(library.skills[domain.recovery])
+    )
 
 
 def learned_model(domain: Domain, rig: Rig | None, library: Library, recoveries: Sequence[Skill] = ()) -> Model:

@@ -91,10 +91,14 @@ tip is that far (m) above the block already. The block falls back on its base; p
 where nothing can pick it."""
 
 
+def leans(said: Prediction) -> Bool[np.ndarray, " n"]:
+    """Does it see the block lean, with the tip near it?"""
+    return (np.linalg.norm(said.block[:, LEAN], axis=-1) > LEANS) & (said.block[:, 2] > -BESIDE)
+
+
 def careful_steps(said: Prediction) -> Float[np.ndarray, "n h 3"]:
     """The steps to take: the policy's own, or straight up where it sees the block lean."""
-    leans = (np.linalg.norm(said.block[:, LEAN], axis=-1) > LEANS) & (said.block[:, 2] > -BESIDE)
-    return np.where(leans[:, None, None], [0.0, 0.0, LET_GO], said.steps)
+    return np.where(leans(said)[:, None, None], [0.0, 0.0, LET_GO], said.steps)
 
 
 class CameraPolicy(Protocol):

@@ -1,0 +1,87 @@
+"""Where a block can be that a hand has pressed on since a scan saw it.
+
+A scan knows a block to a millimetre, and nothing but the hand moves it: it went along with the hand at most. Pictures
+on the way know it to a few millimetres, but in a world that looks like no other they may take a cornered block for a
+free one. What they cannot be right about is not believed. The policy that knows the exact state then acts on the block
+as it would be had it come along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from resync_robot.core.library import Record
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Object
+from resync_robot.learning.camera_view import GAPS, Prediction
+from resync_robot.learning.recovery_policy import STUD, commanded_tip, observe, project, wall_gaps
+from resync_robot.policies.state_recovery import how_sure, recovery_nets
+
+TOUCHES = 0.004
+"""m over the stud's top up to which the tips count as pressing on it."""
+BEYOND = 0.015
+"""m by which pictures may put a wall further away than the hand can have taken the block: rarely are they that wrong in
+worlds like those of training."""
+
+
+@dataclass(frozen=True)
+class ByState:
+    """The recovery that knows the exact state: (n, 19) observations -> (n, 3) actions, and (n,) is it done?"""
+
+    act: Callable[[Tensor], Tensor]
+    done: Callable[[Tensor], Tensor]
+
+    @staticmethod
+    def of(record: Record) -> ByState:
+        """That of a library's record. Raises LibraryError on a broken one."""
+        (net, done), sure = recovery_nets(record), how_sure(record)
+        return ByState(net.act, lambda seen: done.probability(seen) > sure)
+
+
+@dataclass
+class CarriedBlock:
+    """The block of one attempt, as the scan before it saw it.
+
+    Attributes:
+        state: what the scan saw; world frame, m.
+        objects: robot, block and box.
+        away: (2,) how far the hand can have taken it, m.
+    """
+
+    state: State
+    objects: tuple[Object, Object, Object]
+    away: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    _pressing_at: np.ndarray | None = None
+
+    def follow(self, tip: np.ndarray) -> None:
+        """The tips are at (3,) now."""
+        z, height = self.state.get(self.objects[1], "z", "size_z")
+        if self._pressing_at is not None:
+            self.away = self.away + tip[:2] - self._pressing_at
+        self._pressing_at = np.array(tip[:2]) if tip[2] < z + height / 2 + STUD + TOUCHES else None
+
+    def projected(self, tip: np.ndarray, sent: np.ndarray) -> Tensor:
+        """(1, 27) as `recovery_policy.project`, with the block as far along as it can be."""
+        robot, block, box = self.objects
+        x, y = self.state.get(block, "x", "y") + self.away
+        there = self.state.with_features(block, x=x, y=y)
+        return project(there.with_features(robot, x=tip[0], y=tip[1], z=tip[2]), robot, block, box, sent)
+
+    def refutes(self, said: Prediction, tip: np.ndarray) -> bool:
+        """Whether a policy sees a wall further away than it can be."""
+        gaps = wall_gaps(self.projected(tip, tip))[0].numpy()
+        return bool((said.block[0, GAPS] > gaps + BEYOND).any())
+
+    def step(self, policy: ByState, tip: np.ndarray, sent: np.ndarray) -> np.ndarray | None:
+        """(3,) where the policy that knows the state sends the tip; None where it holds itself for done."""
+        x = self.projected(tip, sent)
+        with torch.no_grad():
+            seen = observe(x)
+            if bool(policy.done(seen)):
+                return None
+            return commanded_tip(x, policy.act(seen))[0].double().numpy()

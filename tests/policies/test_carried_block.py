@@ -1,0 +1,93 @@
+"""A block that goes along with the hand, and pictures that show what cannot be."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from resync_robot.core.skill import SkillEnd
+from resync_robot.learning.camera_view import Prediction
+from resync_robot.learning.recovery_policy import STUD, wall_gaps
+from resync_robot.planning.skill_run import run_skill
+from resync_robot.policies.camera_recovery import camera_recovery_skill
+from resync_robot.policies.carried_block import BEYOND, ByState, CarriedBlock
+from tests import scenes
+from tests.policies.followers import RIG
+from tests.policies.test_camera_recovery import SCENE, SETTINGS, Scripted, Seeing
+from tests.scenes import B0, THE_BOX, R
+
+TOP = float((SCENE.get(B0, "z") + SCENE.get(B0, "size_z") / 2)[0]) + STUD
+
+
+def block() -> CarriedBlock:
+    return CarriedBlock(SCENE, (R, B0, THE_BOX))
+
+
+def tip_at(x: float, y: float, above: float) -> np.ndarray:
+    return np.array([x, y, TOP + above])
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.sampled_from([-0.002, 0.0, 0.03])), max_size=12
+    )
+)
+def test_it_goes_as_far_as_the_hand_went_while_it_pressed(path: list[tuple[float, float, float]]) -> None:
+    carried, pressed = block(), np.zeros(2)
+    tips = [tip_at(*place) for place in path]
+    for tip in tips:
+        carried.follow(tip)
+    for before, after in pairwise(tips):
+        if before[2] < TOP + 0.01:
+            pressed += (after - before)[:2]
+    np.testing.assert_allclose(carried.away, pressed, atol=1e-12)
+
+
+def saying(gaps: np.ndarray) -> Prediction:
+    return Prediction(np.zeros((1, 8, 3)), np.ones(1), np.ones(1), np.array([[0.0, 0.0, -0.06, *gaps, 0.0, 0.0]]))
+
+
+def test_pictures_are_refuted_where_a_wall_is_further_away_than_the_hand_can_have_brought_it() -> None:
+    carried, above = block(), tip_at(scenes.CORNER, scenes.CORNER, 0.06)
+    carried.follow(above)
+    gaps = wall_gaps(carried.projected(above, above))[0].numpy()
+    assert not carried.refutes(saying(gaps + BEYOND - 0.002), above)
+    assert carried.refutes(saying(gaps + [0.0, BEYOND + 0.002]), above)
+    # Nearer to a wall it may well be: it need not have come along.
+    assert not carried.refutes(saying(gaps - 0.05), above)
+    for x in (scenes.CORNER, scenes.CORNER - 0.03):
+        carried.follow(tip_at(x, scenes.CORNER, 0.0))
+    assert not carried.refutes(saying(gaps + [0.03, 0.0]), above)
+
+
+class _Pressing:
+    """Goes down for some steps, and is done then."""
+
+    def __init__(self, steps: int) -> None:
+        self.left = steps
+
+    def act(self, seen: torch.Tensor) -> torch.Tensor:
+        self.left -= 1
+        return torch.tensor([[0.0, 0.0, -1.0]])
+
+    def done(self, seen: torch.Tensor) -> torch.Tensor:
+        return torch.tensor([self.left <= 0])
+
+
+@pytest.mark.parametrize("knows_state", [True, False])
+def test_a_cornered_block_that_is_seen_free_at_once_is_pressed_on_by_the_scan(knows_state: bool) -> None:
+    pressing = _Pressing(3)
+    by_state = ByState(pressing.act, pressing.done) if knows_state else None
+    seeing = Seeing(SCENE)
+    policy = Scripted(step=(0.0, 0.0, 0.0), done_at=1)
+    skill = camera_recovery_skill("Recover", policy, RIG, SETTINGS, by_state=by_state)
+    outcome = run_skill(seeing, skill.ground((R, B0, THE_BOX)))
+    assert outcome.ending is SkillEnd.DONE
+    assert (pressing.left == 0) == knows_state
+    lowest = min(float(tip[2]) for tip in seeing.tips)
+    assert (lowest < TOP + SETTINGS.approach_height - 0.02) == knows_state
