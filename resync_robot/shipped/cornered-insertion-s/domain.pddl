@@ -6,20 +6,18 @@
     (Holding ?robot0 - robot ?block1 - block)
     (On ?block0 - block ?block1 - block)
     (On-exists-block0 ?block0 - block)
-    (ReadyInsert ?block0 - block)
-    (ReadyInsert-box ?block0 - block ?box1 - box)
     (ReadyPick ?block0 - block)
     (ReadyPick-box ?block0 - block ?box1 - box)
     (not-On-exists-block0 ?block0 - block)
   )
   (:action Insert
     :parameters (?r - robot ?b0 - block ?b1 - block)
-    :precondition (and (Holding ?r ?b0) (ReadyInsert ?b1) (not-On-exists-block0 ?b1))
+    :precondition (and (Holding ?r ?b0) (ReadyPick ?b1) (not-On-exists-block0 ?b1))
     :effect (and (HandEmpty ?r) (On ?b0 ?b1) (On-exists-block0 ?b1) (not (Holding ?r ?b0)) (not (not-On-exists-block0 ?b1)))
   )
   (:action Pick
     :parameters (?r - robot ?b - block)
-    :precondition (and (HandEmpty ?r) (ReadyInsert ?b) (not-On-exists-block0 ?b))
+    :precondition (and (HandEmpty ?r) (ReadyPick ?b))
     :effect (and (Holding ?r ?b) (not (HandEmpty ?r)))
   )
   (:action Place
@@ -30,6 +28,6 @@
   (:action Recover
     :parameters (?robot - robot ?block - block ?box - box)
     :precondition (and (HandEmpty ?robot))
-    :effect (and (ReadyInsert ?block) (ReadyInsert-box ?block ?box) (ReadyPick ?block) (ReadyPick-box ?block ?box))
+    :effect (and (ReadyPick ?block) (ReadyPick-box ?block ?box))
   )
 )

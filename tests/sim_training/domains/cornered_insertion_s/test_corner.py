@@ -50,7 +50,7 @@ def test_the_shipped_library_sees_what_it_was_trained_on(frozen: dict[str, Any])
         classifier = NeuralClassifier.from_record(name, record, types, CORNERED.relations)
         said = classifier.probabilities((block, box))
         np.testing.assert_allclose(said, frozen["probabilities"][name], rtol=0, atol=1e-6)
-        assert said.min() < 0.1 and said.max() > 0.9, "they tell these scenes apart"
+        assert said.min() < 0.2 and said.max() > 0.9, "they tell these scenes apart"
 
 
 def test_scenarios_draw_the_worlds_that_they_drew(frozen: dict[str, Any]) -> None:
