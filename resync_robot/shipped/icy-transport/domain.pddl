@@ -5,8 +5,6 @@
     (Delivered ?item0 - item ?item1 - item)
     (HandEmpty ?car0 - car)
     (Holding ?car0 - car ?item1 - item)
-    (ReadyGoToPickObject)
-    (ReadyGoToPickObject-muddy ?muddy0 - muddy)
     (ReadyGoToPlaceObject ?item0 - item)
     (ReadyGoToPlaceObject-icy ?item0 - item ?icy1 - icy)
     (ReadyGoToPlaceObject-muddy ?item0 - item ?muddy1 - muddy)
@@ -14,7 +12,7 @@
   )
   (:action GoToPickObject
     :parameters (?r - car ?o - item)
-    :precondition (and (HandEmpty ?r) (ReadyGoToPickObject) (ReadyGoToPlaceObject ?o))
+    :precondition (and (HandEmpty ?r) (ReadyGoToPlaceObject ?o) (ReadyGoToPlaceObject2 ?o))
     :effect (and (Holding ?r ?o) (not (HandEmpty ?r)))
   )
   (:action GoToPlaceObject
@@ -29,7 +27,7 @@
   )
   (:action MuddyDrive
     :parameters (?car - car ?item - item ?muddy - muddy)
-    :precondition (and (HandEmpty ?car) (ReadyGoToPlaceObject ?item))
-    :effect (and (ReadyGoToPickObject) (ReadyGoToPickObject-muddy ?muddy) (ReadyGoToPlaceObject-muddy ?item ?muddy) (ReadyGoToPlaceObject2 ?item))
+    :precondition (and (HandEmpty ?car))
+    :effect (and (ReadyGoToPlaceObject-muddy ?item ?muddy) (ReadyGoToPlaceObject2 ?item))
   )
 )
