@@ -37,6 +37,7 @@ from resync_robot.learning.camera_view import (
     state_seen,
     window_at,
 )
+from resync_robot.learning.carried import Carried
 from resync_robot.learning.recovery_policy import project, within_reach
 from resync_robot.policies import camera_order
 from resync_robot.policies.carried_block import ByState, CarriedBlock
@@ -163,16 +164,16 @@ def _drive(
     chunks, thinking = Chunks(), _Thinking(policy, thread)
     z, height = hand.last.state.get(objects[1], "z", "size_z")
     guard, astray, done_in_a_row = TipOverGuard(top=z + height / 2), False, 0
-    carried, blind = CarriedBlock(hand.last.state, objects), False
+    block, blind = CarriedBlock(hand.last.state, objects), False
     for _ in range(s.max_decisions):
-        carried.follow(hand.tip())
-        goal = carried.step(by_state, hand.tip(), hand.position) if blind and by_state else None
+        block.carried.follow(hand.tip())
+        goal = block.step(by_state, hand.tip(), hand.position) if blind and by_state else None
         if blind and goal is None:
             return True
         if goal is None:
             goal = _reach(hand, objects, hand.position + from_hand(watch.step(chunks.next()), hand.yaw))
         if chunks.wanting and not thinking.busy:
-            thinking.ask(*_observe(hand, goal, scanned, rig, policy.picture, watch))
+            thinking.ask(*_observe(hand, goal, scanned, block.carried, rig, policy.picture, watch))
         if not (yield from press_on(hand, goal, DECISION_STEPS, guard)):
             # What was wanted, and what is being thought, is of a block that stood.
             thinking.answer(hand.last.ready, wait=True)
@@ -182,7 +183,7 @@ def _drive(
         if answer is not None:
             prediction, late = answer
             watch.prediction(prediction)
-            refuted = by_state is not None and carried.refutes(prediction, hand.tip())
+            refuted = by_state is not None and block.refutes(prediction, hand.tip())
             blind = refuted and not leans(prediction)[0]
             if blind:
                 chunks, astray, done_in_a_row = Chunks(), False, 0
@@ -288,9 +289,9 @@ class Watch:
 
 
 def _observe(
-    hand: Hand, goal: np.ndarray, scanned: Scanned, rig: Rig, picture: int, watch: Watch
+    hand: Hand, goal: np.ndarray, scanned: Scanned, carried: Carried, rig: Rig, picture: int, watch: Watch
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pictures (views, p, p, 3) and state (19,) as in training: the step to `goal` is under way."""
+    """Pictures (views, p, p, 3) and state (21,) as in training: the step to `goal` is under way."""
     seen = hand.last
     if seen.look is None:
         raise Stopped("there is no camera to look through")
@@ -301,7 +302,7 @@ def _observe(
         cutout = seen.look(view, window_at(camera, rig.camera_pose(camera, seen.arm), tip), picture)
         watch.picture(cutout, seen.time)
         pictures.append(cutout.colour)
-    return np.stack(pictures), state_seen(seen.arm, tip, goal, hand.yaw, scanned)
+    return np.stack(pictures), state_seen(seen.arm, tip, goal, hand.yaw, scanned, carried.away)
 
 
 def _check_order(seen: ArmObservation, rig: Rig, hues: Mapping[str, float]) -> None:

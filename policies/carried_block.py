@@ -19,11 +19,10 @@ from resync_robot.core.library import Record
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
 from resync_robot.learning.camera_view import GAPS, Prediction
+from resync_robot.learning.carried import Carried
 from resync_robot.learning.recovery_policy import STUD, commanded_tip, observe, project, wall_gaps
 from resync_robot.policies.state_recovery import how_sure, recovery_nets
 
-TOUCHES = 0.004
-"""m over the stud's top up to which the tips count as pressing on it."""
 BEYOND = 0.015
 """m by which pictures may put a wall further away than the hand can have taken the block: rarely are they that wrong in
 worlds like those of training."""
@@ -50,25 +49,21 @@ class CarriedBlock:
     Attributes:
         state: what the scan saw; world frame, m.
         objects: robot, block and box.
-        away: (2,) how far the hand can have taken it, m.
+        carried: how far the hand can have taken it.
     """
 
     state: State
     objects: tuple[Object, Object, Object]
-    away: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    _pressing_at: np.ndarray | None = None
+    carried: Carried = field(init=False)
 
-    def follow(self, tip: np.ndarray) -> None:
-        """The tips are at (3,) now."""
+    def __post_init__(self) -> None:
         z, height = self.state.get(self.objects[1], "z", "size_z")
-        if self._pressing_at is not None:
-            self.away = self.away + tip[:2] - self._pressing_at
-        self._pressing_at = np.array(tip[:2]) if tip[2] < z + height / 2 + STUD + TOUCHES else None
+        self.carried = Carried(z + height / 2 + STUD)
 
     def projected(self, tip: np.ndarray, sent: np.ndarray) -> Tensor:
         """(1, 27) as `recovery_policy.project`, with the block as far along as it can be."""
         robot, block, box = self.objects
-        x, y = self.state.get(block, "x", "y") + self.away
+        x, y = self.state.get(block, "x", "y") + self.carried.away
         there = self.state.with_features(block, x=x, y=y)
         return project(there.with_features(robot, x=tip[0], y=tip[1], z=tip[2]), robot, block, box, sent)
 

@@ -52,8 +52,8 @@ from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 from lerobot.policies.factory import make_pre_post_processors
 
-VERSION, BEFORE = 4, 3
-"""What is written, and what is read as well: without `free`."""
+VERSION, READ = 5, (3, 4, 5)
+"""What is written, and what is read: 3 had no `free`, and neither 3 nor 4 was told how far a block was carried."""
 RETRAIN = "train a new one: resync-robot train-sim"
 IMAGES = tuple(f"observation.images.{view}" for view in VIEWS)
 STATE, ACTION = "observation.state", "action"
@@ -182,6 +182,11 @@ class DiffusionStudent(nn.Module):
         return int(self.policy.config.input_features[IMAGES[0]].shape[-1])
 
     @property
+    def states(self) -> int:
+        """How many of `STATE_NAMES` it is told, from the first on."""
+        return _states(self.policy)
+
+    @property
     def horizon(self) -> int:
         return int(self.policy.config.horizon)
 
@@ -194,7 +199,7 @@ class DiffusionStudent(nn.Module):
 
         Args:
             pictures: (n, views, 3, p, p) in [0, 1].
-            state: (n, 19), as measured.
+            state: (n, s), as measured: as many as this policy was trained with.
         """
         batch = {key: pictures[:, i] for i, key in enumerate(IMAGES)} | {STATE: state}
         batch = self.pre(batch)
@@ -209,7 +214,8 @@ class DiffusionStudent(nn.Module):
         """The most likely chunk: the diffusion starts from no noise, so the same picture gives the same motion."""
         seen = torch.from_numpy(np.ascontiguousarray(pictures)).to(self.device)
         seen = seen.permute(0, 1, 4, 2, 3).float() / 255
-        features = self.features(seen, torch.as_tensor(state, dtype=torch.float32, device=self.device))
+        known = torch.as_tensor(state[:, : self.states], dtype=torch.float32, device=self.device)
+        features = self.features(seen, known)
         noise = torch.zeros(len(seen), self.horizon, len(ACTION_NAMES), device=self.device)
         chunk = self.policy.diffusion.conditional_sample(len(seen), global_cond=features, noise=noise)
         steps, block = self.post(chunk), self.heads.block(features)
@@ -246,9 +252,9 @@ def load_student(folder: Path, rig: Rig | None = None, device: str = "cpu") -> D
     except (OSError, ValueError) as error:
         raise PolicyError(f"there is no camera policy in {folder}: {error}", RETRAIN) from None
     found = stamp.get("version") if isinstance(stamp, dict) else None
-    if found not in (BEFORE, VERSION) or set(stamp.get("cameras", {})) != set(VIEWS):
+    if found not in READ or set(stamp.get("cameras", {})) != set(VIEWS):
         raise PolicyError(
-            f"the camera policy in {folder} is of version {found}; this program reads versions {BEFORE} and {VERSION}, "
+            f"the camera policy in {folder} is of version {found}; this program reads versions {READ[0]} to {VERSION}, "
             f"with the cameras {', '.join(VIEWS)}",
             RETRAIN,
         )
@@ -265,7 +271,7 @@ def load_student(folder: Path, rig: Rig | None = None, device: str = "cpu") -> D
         )
         _check_statistics(folder, pre)
         heads = Heads(_features(policy))
-        if found == BEFORE:
+        if found == READ[0]:
             heads.free = FarFromWalls()
         # Some have a head more, which told cameras apart; geometry does so now.
         stored = load_file(folder / "heads.safetensors").items()
@@ -307,4 +313,8 @@ def _check_statistics(folder: Path, pre: Any) -> None:
 
 
 def _features(policy: DiffusionPolicy) -> int:
-    return len(STATE_NAMES) + int(policy.diffusion.rgb_encoder[0].feature_dim) * len(VIEWS)
+    return _states(policy) + int(policy.diffusion.rgb_encoder[0].feature_dim) * len(VIEWS)
+
+
+def _states(policy: DiffusionPolicy) -> int:
+    return int(policy.config.input_features[STATE].shape[0])

@@ -59,14 +59,14 @@ CHECKPOINT_EVERY = 250
 class DistilPlan:
     """How much of everything."""
 
-    worlds: int = 640
+    worlds: int = 480
     """Worlds of the teacher alone."""
-    rounds: int = 2
+    rounds: int = 1
     """Rounds in which the student drives first."""
-    round_worlds: int = 320
-    steps: int = 1800
+    round_worlds: int = 160
+    steps: int = 1500
     """Of training on the teacher's own worlds."""
-    round_steps: int = 1500
+    round_steps: int = 1000
     """Of training after each round."""
     trials: int = 96
     """Worlds in which each candidate is tried."""

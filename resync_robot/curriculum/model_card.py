@@ -85,9 +85,10 @@ LIMITS = f"""## Limits
 
 def _inputs(config: Mapping[str, Any]) -> str:
     pictures = config["input_features"][f"observation.images.{VIEWS[0]}"]["shape"]
+    states = config["input_features"]["observation.state"]["shape"][0]
     rows = [
         (f"`observation.images.{{{', '.join(VIEWS)}}}`", pictures, "RGB in [0, 1], a window about the finger tips"),
-        ("`observation.state`", [len(STATE_NAMES)], ", ".join(STATE_NAMES)),
+        ("`observation.state`", [states], ", ".join(STATE_NAMES[:states])),
         ("`action`", [len(ACTION_NAMES)], f"{', '.join(ACTION_NAMES)}: the next step of the hand, in its own axes"),
     ]
     table = "\n".join(f"| {name} | {'x'.join(map(str, shape))} | {what} |" for name, shape, what in rows)

@@ -39,11 +39,15 @@ STATE_NAMES = (
     "corner_left_m",
     "width_m",
     "height_m",
+    "carried_forward_m",
+    "carried_left_m",
 )
 """Joint positions; the tip in the world, from them; how far the tip has been sent ahead of where it is, hand's axes.
 Then what the scan tells: from the tip to where the block's stud was, and to the corner of the box nearest to it, in the
 hand's axes, and the block's size. Pictures of 64 pixels alone put the top of a block of a size that training never had
-7 mm beside where it is; measured once, it is known to a millimetre until the block leans."""
+7 mm beside where it is; measured once, it is known to a millimetre until the block leans. Last, how far the hand has
+gone since while it pressed on the block: where that is nothing, all of the scan still holds, whatever pictures of a new
+kind may look like."""
 ACTION_NAMES = ("forward_m", "left_m", "up_m")
 """The step from where the tip is being sent to where it is sent next, in the hand's own horizontal axes."""
 
@@ -161,8 +165,13 @@ class Scanned:
 
 
 def state_seen(
-    q: Float[np.ndarray, "6"], tip: Float[np.ndarray, "3"], sent: Float[np.ndarray, "3"], yaw: float, scanned: Scanned
-) -> Float[np.ndarray, "19"]:
+    q: Float[np.ndarray, "6"],
+    tip: Float[np.ndarray, "3"],
+    sent: Float[np.ndarray, "3"],
+    yaw: float,
+    scanned: Scanned,
+    carried: Float[np.ndarray, "2"],
+) -> Float[np.ndarray, "21"]:
     """The state that a policy sees, as in STATE_NAMES.
 
     Args:
@@ -171,10 +180,12 @@ def state_seen(
         sent: where the tip is being sent in the control step that begins now, world, m.
         yaw: heading of the hand's x axis in the world, rad.
         scanned: what was measured before the recovery began.
+        carried: how far the hand has gone since while it pressed on the block, world, m; as `Carried.away`.
     """
     stud = to_hand(scanned.stud - tip, yaw)
     corner = to_hand(np.append(scanned.corner - tip[:2], 0.0), yaw)[:2]
-    return np.concatenate([q, tip, to_hand(sent - tip, yaw), stud, corner, scanned.size]).astype(np.float32)
+    along = to_hand(np.append(carried, 0.0), yaw)[:2]
+    return np.concatenate([q, tip, to_hand(sent - tip, yaw), stud, corner, scanned.size, along]).astype(np.float32)
 
 
 def to_hand(vectors: Float[np.ndarray, "*n 3"], yaw: float) -> Float[np.ndarray, "*n 3"]:

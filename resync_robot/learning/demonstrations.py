@@ -14,7 +14,7 @@ class Demonstrations:
 
     Attributes:
         pictures: (n, views, p, p, 3), RGB.
-        state: (n, 19), as in `camera_view.STATE_NAMES`.
+        state: (n, 21), as in `camera_view.STATE_NAMES`.
         action: (n, 3) m, the step that followed the one under way, in the hand's axes.
         recovered: (n,) was it time to stop? A margin beyond where the failed skill begins to succeed.
         free: (n,) would the failed skill succeed?

@@ -24,9 +24,9 @@ from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ
 from resync_robot.learning.demonstrations import Demonstrations
 from resync_robot.sim_training.demonstrations.rollouts import Segment
 
-VERSION = 7
+VERSION = 8
 """3 had h264 videos, which do not go into one dataset with others; 4 had no hashes of its files; 5 named no robot; 6
-did not tell free from recovered."""
+did not tell free from recovered; 7 how far a block was carried."""
 CODEC = "libsvtav1"
 """The same pictures become the same video. x264, as LeRobot calls it, encodes one group of frames in a hundred another
 way each time, and so the same seed led to another policy."""

@@ -96,7 +96,7 @@ class Segment:
 
     Attributes:
         pictures: (n, views, p, p, 3).
-        state: (n, 19), as in `camera_view.STATE_NAMES`.
+        state: (n, 21), as in `camera_view.STATE_NAMES`.
         action: (n, 3) m, the step that followed the one under way.
         recovered: (n,) was it time to stop? A margin beyond where the failed skill begins to succeed.
         free: (n,) would the failed skill succeed?
@@ -139,7 +139,9 @@ class _Frames:
         steps, count = (np.vstack([steps, np.zeros(3)]), len(sent)) if ends else (steps, len(sent) - 1)
         return Segment(
             np.stack([f.seen.pictures for f in self.taken[:count]]),
-            np.stack([state_seen(f.seen.q, f.seen.tip, f.sent, yaw, scanned) for f in self.taken[:count]]),
+            np.stack(
+                [state_seen(f.seen.q, f.seen.tip, f.sent, yaw, scanned, f.seen.carried) for f in self.taken[:count]]
+            ),
             to_hand(steps, yaw).astype(np.float32),
             np.array([f.judged.recovered for f in self.taken[:count]]),
             np.array([f.judged.free for f in self.taken[:count]]),
@@ -293,7 +295,7 @@ def look_around(
         for _ in range(each if scene.stands else 0):
             scene.freeze(random)
             seen = scene.see()
-            state = state_seen(seen.q, seen.tip, scene.sent, scene.yaw, scene.scanned)
+            state = state_seen(seen.q, seen.tip, scene.sent, scene.yaw, scene.scanned, seen.carried)
             found.append((seen.pictures, state, teacher.judge(scene.x, s.margin)[0], scene.block()))
     if not found:
         return None
@@ -322,7 +324,7 @@ def _advance_students(runs: Sequence[_Run], student: CameraPolicy) -> list[Seen]
     asking = [(r, o) for r, o in zip(runs, seen, strict=True) if r.chunks.wanting]
     if not asking:
         return seen
-    states = [state_seen(o.q, o.tip, r.goal, r.scene.yaw, r.scene.scanned) for r, o in asking]
+    states = [state_seen(o.q, o.tip, r.goal, r.scene.yaw, r.scene.scanned, o.carried) for r, o in asking]
     said = student(np.stack([o.pictures for _, o in asking]), np.stack(states))
     for (r, _), steps, done in zip(asking, careful_steps(said), says_done(said), strict=True):
         r.chunks.push(steps)

@@ -170,7 +170,9 @@ def test_the_shipped_policy_sees_its_block_and_whether_it_is_stuck(tmp_path: Pat
     scenes = [RenderedRecovery(draw_start(domain, gaussians, 980_000_000 + i), rig, 0.0, i) for i in range(8)]
     seen = [scene.see() for scene in scenes]
     pictures = np.stack([o.pictures for o in seen])
-    states = np.stack([state_seen(o.q, o.tip, o.tip, s.yaw, s.scanned) for o, s in zip(seen, scenes, strict=True)])
+    states = np.stack(
+        [state_seen(o.q, o.tip, o.tip, s.yaw, s.scanned, o.carried) for o, s in zip(seen, scenes, strict=True)]
+    )
     found = student(pictures, states)
     truth = np.stack([scene.block() for scene in scenes])
     assert np.median(np.abs(found.block[:, :2] - truth[:, :2])) < 0.008

@@ -82,10 +82,12 @@ def test_what_has_no_policy_gets_no_card_and_what_is_no_policy_is_refused() -> N
 @pytest.mark.slow
 def test_its_code_loads_the_policy_in_stock_lerobot_and_not_without_the_import(shipped: Library) -> None:
     code = re.search(r"```python\n(.*?)```", card_of(with_card(shipped, CORNERED)), re.DOTALL)[1]
+    config = json.loads(shipped.policies["Recover"]["config.json"])
+    states = config["input_features"]["observation.state"]["shape"][0]
     given = (
         "import torch\n"
         "observation = {f'observation.images.{v}': torch.rand(3, 64, 64) for v in ('front', 'side', 'wrist')}\n"
-        "observation['observation.state'] = torch.rand(19)\n"
+        f"observation['observation.state'] = torch.rand({states})\n"
     )
     ran = _python(given + code + "print('ACTION', tuple(action.shape))\n")
     assert "ACTION (1, 3)" in ran.stdout, ran.stderr

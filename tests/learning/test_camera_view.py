@@ -68,9 +68,9 @@ def test_forward_is_where_the_hand_s_x_axis_points() -> None:
 def test_the_state_is_joints_tip_lead_and_what_the_scan_told() -> None:
     q, tip = np.arange(6.0), np.array([0.4, 0.1, 0.2])
     scanned = Scanned(tip + [0.0, 0.03, -0.06], tip[:2] + [-0.05, 0.0], np.array([0.05, 0.04]))
-    state = state_seen(q, tip, tip + [0.0, 0.01, -0.02], np.pi / 2, scanned)
+    state = state_seen(q, tip, tip + [0.0, 0.01, -0.02], np.pi / 2, scanned, np.array([0.0, 0.02]))
     assert state.shape == (len(STATE_NAMES),) and state.dtype == np.float32
-    known = [0.03, 0.0, -0.06, 0.0, 0.05, 0.05, 0.04]
+    known = [0.03, 0.0, -0.06, 0.0, 0.05, 0.05, 0.04, 0.02, 0.0]
     np.testing.assert_allclose(state, [*q, *tip, 0.01, 0.0, -0.02, *known], atol=1e-6)
 
 

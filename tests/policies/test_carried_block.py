@@ -41,11 +41,11 @@ def test_it_goes_as_far_as_the_hand_went_while_it_pressed(path: list[tuple[float
     carried, pressed = block(), np.zeros(2)
     tips = [tip_at(*place) for place in path]
     for tip in tips:
-        carried.follow(tip)
+        carried.carried.follow(tip)
     for before, after in pairwise(tips):
         if before[2] < TOP + 0.01:
             pressed += (after - before)[:2]
-    np.testing.assert_allclose(carried.away, pressed, atol=1e-12)
+    np.testing.assert_allclose(carried.carried.away, pressed, atol=1e-12)
 
 
 def saying(gaps: np.ndarray) -> Prediction:
@@ -54,14 +54,14 @@ def saying(gaps: np.ndarray) -> Prediction:
 
 def test_pictures_are_refuted_where_a_wall_is_further_away_than_the_hand_can_have_brought_it() -> None:
     carried, above = block(), tip_at(scenes.CORNER, scenes.CORNER, 0.06)
-    carried.follow(above)
+    carried.carried.follow(above)
     gaps = wall_gaps(carried.projected(above, above))[0].numpy()
     assert not carried.refutes(saying(gaps + BEYOND - 0.002), above)
     assert carried.refutes(saying(gaps + [0.0, BEYOND + 0.002]), above)
     # Nearer to a wall it may well be: it need not have come along.
     assert not carried.refutes(saying(gaps - 0.05), above)
     for x in (scenes.CORNER, scenes.CORNER - 0.03):
-        carried.follow(tip_at(x, scenes.CORNER, 0.0))
+        carried.carried.follow(tip_at(x, scenes.CORNER, 0.0))
     assert not carried.refutes(saying(gaps + [0.03, 0.0]), above)
 
 

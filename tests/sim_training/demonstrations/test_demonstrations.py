@@ -142,6 +142,29 @@ def test_a_scan_tells_where_the_block_was_or_where_it_is() -> None:
     assert 5 < sum(moved) < 25
 
 
+def test_how_far_the_hand_carried_a_block_tells_a_fresh_scan_from_an_old_one() -> None:
+    scene, random = RenderedRecovery(CORNERED, RIG, 0.0, seed=1), torch.Generator().manual_seed(3)
+    assert not scene.see().carried.any()
+    errors = {False: list[float](), True: list[float]()}
+    for _ in range(40):
+        scene.freeze(random)
+        carried = scene.see().carried
+        there = scene.scanned.stud[:2] + carried
+        errors[bool(carried.any())].append(float(np.linalg.norm(there - scene.x[0, BLOCK][:2].numpy())))
+    assert min(map(len, errors.values())) > 10
+    assert max(errors[False]) < 0.008 and np.median(errors[True]) < 0.008 < max(errors[True])
+
+
+def test_a_block_goes_along_with_the_hand_that_presses_on_it() -> None:
+    scene = RenderedRecovery(CORNERED, RIG, 0.0, seed=1)
+    begun = scene.x[0, BLOCK][:2].numpy()
+    for lead in ((0.0, 0.0, -0.03), (0.0, 0.0, -0.03), (0.0, 0.0, -0.02), *((-0.01, -0.01, -0.005),) * 4):
+        scene.step(scene.reach(scene.see().tip + lead))
+    moved, carried = scene.x[0, BLOCK][:2].numpy() - begun, scene.see().carried
+    assert np.linalg.norm(carried) > 0.01
+    assert np.linalg.norm(moved - carried) < 0.5 * np.linalg.norm(carried)
+
+
 def test_pictures_of_half_of_all_scenes_are_one_step_old() -> None:
     delayed = 0
     for seed in range(12):
