@@ -21,7 +21,8 @@ class Carried:
 
     Attributes:
         top: of the block's stud, as the scan saw it, m.
-        away: (2,) how far the tips have gone while they pressed, m, world frame.
+        away: (2,) how far the tips have gone while they pressed, m, world frame. Of a step in which they came off the
+            block nobody knows how far it went along; it does not count.
     """
 
     top: float
@@ -30,6 +31,7 @@ class Carried:
 
     def follow(self, tip: Float[np.ndarray, "3"]) -> None:
         """The tips are at (3,) now, m."""
-        if self._pressing_at is not None:
+        pressing = bool(tip[2] < self.top + TOUCHES)
+        if pressing and self._pressing_at is not None:
             self.away = self.away + tip[:2] - self._pressing_at
-        self._pressing_at = np.array(tip[:2]) if tip[2] < self.top + TOUCHES else None
+        self._pressing_at = np.array(tip[:2]) if pressing else None
