@@ -40,9 +40,6 @@ class DistilSettings:
     """Most change of brightness and of each colour."""
     noise: float = 0.02
     """Noise of a pixel, of 1, on top of the camera's own."""
-    misled: float = 0.1
-    """Share of the frames that come with the pictures of another one. Pictures of a world that looks like no other are
-    as wrong, and then what the scan and the hand tell has to do."""
     done_weight: float = 0.1
     block_weight: float = 0.3
     bf16: bool = False
@@ -146,10 +143,8 @@ class Trainer:
             raise RuntimeError("use() comes before run()")
         f, device = self._frames, self.student.device
         rows = self._rng.integers(len(f), size=self.settings.batch)
-        others = self._rng.integers(len(f), size=self.settings.batch)
-        shown = np.where(self._rng.random(self.settings.batch) < self.settings.misled, others, rows)
         return {
-            "pictures": self._augment(f.pictures[shown]),
+            "pictures": self._augment(f.pictures[rows]),
             "state": torch.from_numpy(f.state[rows]).to(device),
             "chunk": torch.from_numpy(self._chunks[rows]).to(device),
             "valid": torch.from_numpy(self._valid[rows]).to(device),
