@@ -13,10 +13,12 @@ import pytest
 import torch
 
 from resync_robot.core.errors import PolicyError, TrainingError
+from resync_robot.core.library import load_library
 from resync_robot.core.rig import CameraRig, load_rig
 from resync_robot.curriculum.distil import PLANS
 from resync_robot.learning.camera_view import BLOCK_MEAN, BLOCK_SPREAD, GAPS, PICTURE, STATE_NAMES, VIEWS
 from resync_robot.learning.demonstrations import Demonstrations
+from resync_robot.library_models import shipped_library
 from resync_robot.policies import trunk
 from resync_robot.policies.diffusion import IMAGES, SIZES, DiffusionSettings, DiffusionStudent, load_student
 from resync_robot.policies.training import DistilSettings, Trainer, chunks_of, has_bf16, statistics_of
@@ -86,6 +88,17 @@ def test_a_policy_from_before_asks_for_room_on_both_sides(
     ) / BLOCK_SPREAD
     free = torch.sigmoid(loaded.heads.free(torch.as_tensor(block, dtype=torch.float32)))[:, 0]
     assert free[0] > 0.9 and free[1] < 0.1
+
+
+def test_a_policy_that_was_not_told_how_far_its_block_was_carried_does_without(tmp_path: Path) -> None:
+    library = load_library(shipped_library("cornered-insertion-l"))
+    for name, data in library.policies["Recover"].items():
+        (tmp_path / name).write_bytes(data)
+    older = load_student(tmp_path, RIG)
+    pictures, state = seen()
+    assert older.states == len(STATE_NAMES) - 2
+    carried = state + np.array([0.0] * older.states + [0.05, 0.05], dtype=np.float32)
+    np.testing.assert_array_equal(older(pictures, state).steps, older(pictures, carried).steps)
 
 
 def test_plans_demonstrate_in_the_size_that_their_policy_wants() -> None:

@@ -80,7 +80,7 @@ def test_a_broken_shard_is_named(shard: Path, tmp_path: Path, damage: str) -> No
     folder = tmp_path / "broken"
     shutil.copytree(shard, folder)
     if damage == "version":
-        (folder / dataset.STAMP).write_text('{"version": 0}')
+        (folder / dataset.STAMP).write_text('{"version": 0}', encoding="utf-8")
     elif damage == "stamp":
         (folder / dataset.STAMP).unlink()
     else:
