@@ -7,13 +7,14 @@ know this makes plans that begin with what they then undo.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
 from resync_robot.core.skill import GroundSkill
 from resync_robot.core.state import State
-from resync_robot.core.symbols import Atoms
+from resync_robot.core.symbols import Atoms, GroundOperator
 from resync_robot.core.task import Task
 from resync_robot.core.trajectory import Transition
 from resync_robot.core.world import World
@@ -33,7 +34,10 @@ def wander(
     recoveries: Collection[str],
     rng: np.random.Generator,
 ) -> tuple[Transition, ...]:
-    """Given skills that the model says could be done next, drawn evenly, and one recovery somewhere among them.
+    """Given skills that the model says could be done next, and one recovery somewhere among them.
+
+    A skill is the likelier the less often it was done before, however many objects it could be done to. A hand that
+    goes from block to block would seldom hold one, and what is lost with it would not be seen.
 
     It ends with the first skill that does not do what it should. That one is not told: it may have failed of where the
     robot came from, which nobody will ask of it.
@@ -54,7 +58,7 @@ def wander(
         if i == recover_at:
             ground = recovery(before)
         elif possible:
-            step = possible[int(rng.integers(len(possible)))]
+            step = _drawn(possible, Counter(t.skill for t in done), rng)
             ground, wanted = model.skill(step.name).ground(step.objects), step.add
         else:
             break
@@ -68,3 +72,12 @@ def wander(
         done.append(Transition(before, ground.name, ground.objects, after, True))
         before = after
     return tuple(done)
+
+
+def _drawn(possible: Sequence[GroundOperator], times: Mapping[str, int], rng: np.random.Generator) -> GroundOperator:
+    """First a skill, then what it is done to."""
+    names = sorted({s.name for s in possible})
+    new = np.array([1 / (1 + times.get(name, 0)) for name in names])
+    chosen = names[int(rng.choice(len(names), p=new / new.sum()))]
+    ways = [s for s in possible if s.name == chosen]
+    return ways[int(rng.integers(len(ways)))]
