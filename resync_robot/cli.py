@@ -26,6 +26,7 @@ from resync_robot.commands.deploy import DeployConfig, deploy
 from resync_robot.commands.doctor import DoctorConfig, doctor
 from resync_robot.commands.emulate import EmulateConfig, emulate
 from resync_robot.commands.evaluate import EvaluateConfig, evaluate
+from resync_robot.commands.export_dataset import ExportDatasetConfig, export_dataset
 from resync_robot.commands.new_domain import NewDomainConfig, new_domain
 from resync_robot.commands.review import ReviewConfig, review
 from resync_robot.commands.train_sim import TrainConfig, train
@@ -43,6 +44,7 @@ COMMANDS: dict[str, tuple[type, Callable[[Any], int | None]]] = {
     "doctor": (DoctorConfig, doctor),
     "check-domain": (CheckDomainConfig, check_domain),
     "new-domain": (NewDomainConfig, new_domain),
+    "export-dataset": (ExportDatasetConfig, export_dataset),
 }
 """Name on the command line -> its settings and what runs with them."""
 

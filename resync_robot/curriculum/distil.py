@@ -29,7 +29,7 @@ from resync_robot.curriculum.presets import TRAINING_SEEDS
 from resync_robot.curriculum.stage_folder import StageFolder, Tell
 from resync_robot.learning.camera_view import PICTURE, VIEWS, CameraPolicy, Prediction
 from resync_robot.learning.failures import PairGaussian
-from resync_robot.sim_training.demonstrations import dataset
+from resync_robot.sim_training.demonstrations import shards as stored
 from resync_robot.sim_training.demonstrations.rollouts import (
     RolloutSettings,
     Teacher,
@@ -177,7 +177,7 @@ def _demonstrate(context: DistilContext, shard: _Shard) -> int:
     stamp = {"first_seed": shard.first_seed, "rig_hash": context.rig.hash, "git": git_hash()}
     task = context.domain.instruction or context.domain.recovery
     robot = f"{context.rig.arm.model}_{context.rig.gripper.model}"
-    dataset.write_shard(shard.folder, segments, task, robot, stamp)
+    stored.write_shard(shard.folder, segments, task, robot, stamp)
     return sum(1 for segments in found if segments)
 
 
@@ -265,13 +265,11 @@ def to_keep(points: Sequence[Mapping[str, int]]) -> int:
 
 
 def _show(folder: StageFolder, shards: list[Path], points: list[dict[str, Any]], chosen: int) -> dict[str, int]:
-    """What a person wants to see of it: the dataset as one, what the cameras saw, the curves. Returns how much there
-    is, as `dataset.merge_shards` does."""
-    counts = dataset.merge_shards(shards, folder.run.path / "dataset")
-    shown = dataset.moments(dataset.read_shards(shards[:: max(1, len(shards) // 6)]))
+    """What a person wants to see: what the cameras saw, the curves. Returns how much there is, as `shards.count`."""
+    shown = stored.moments(stored.read_shards(shards[:: max(1, len(shards) // 6)]))
     save_picture(folder.run.path / "demonstrations.png", contact_sheet(shown, VIEWS))
     draw_distillation(_read_losses(folder.path / "distil.csv"), points, chosen, folder.run.path / "distil.png")
-    return counts
+    return stored.count(shards)
 
 
 def _read_losses(path: Path) -> list[tuple[float, float]]:
@@ -352,11 +350,11 @@ def _train(
     from resync_robot.policies.diffusion import SIZES, DiffusionStudent
     from resync_robot.policies.training import DistilSettings, Trainer, has_bf16, statistics_of, step_of
 
-    frames = dataset.read_shards(shards)
+    frames = stored.read_shards(shards)
     frames = replace(frames, pictures=_blinded(frames.pictures, plan.blind))
     checkpoint = folder.path / "distil.safetensors"
     torch.manual_seed(seed)
-    first = dataset.read_shards([s for s in shards if s.name.startswith("turn-0")])
+    first = stored.read_shards([s for s in shards if s.name.startswith("turn-0")])
     # The statistics of the first turn stay: weights learned with them would not survive others.
     student: DiffusionStudent = DiffusionStudent.create(SIZES[plan.size], statistics_of(first), device)
     trainer = Trainer(student, DistilSettings(batch=plan.batch, bf16=has_bf16(device)), shares.until[-1], seed)

@@ -1,39 +1,34 @@
-"""Demonstrations on disk: a LeRobot dataset with AV1 videos, written in shards, read back in one go.
+"""Demonstrations as a LeRobot dataset with AV1 videos, for whoever wants to train or look elsewhere.
 
-Training reads every frame many times, and decoding is slow, so all videos are decoded once into memory.
+LeRobot takes longer to write an episode than the simulation to make it, so training writes shards, and whoever wants a
+dataset has it made of them.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import shutil
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, suppress
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
 
-from resync_robot.core.damage import check_shape, reading
-from resync_robot.core.errors import TrainingError
-from resync_robot.core.files import read_text, whole_folder, write_text
+from resync_robot.core.files import whole_folder
 from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ, STATE_NAMES, VIEWS
-from resync_robot.learning.demonstrations import Demonstrations
 from resync_robot.sim_training.demonstrations.rollouts import Segment
+from resync_robot.sim_training.demonstrations.shards import check_shard, read_shard
+from resync_robot.sim_training.parallel import parallel_map
 
-VERSION = 8
-"""3 had h264 videos, which do not go into one dataset with others; 4 had no hashes of its files; 5 named no robot; 6
-did not tell free from recovered; 7 how far a block was carried."""
+NAME = "local/recoveries"
+"""What LeRobot calls the dataset. It lies on this disk and on no hub."""
 CODEC = "libsvtav1"
 """The same pictures become the same video. x264, as LeRobot calls it, encodes one group of frames in a hundred another
-way each time, and so the same seed led to another policy."""
+way each time."""
 QUEUE = 10_000
 """Frames that wait for their encoder. LeRobot drops those that find its queue full, on a busy machine every few."""
-STAMP = "resync.json"
-"""Beside LeRobot's own files: version, seeds, rig, and what the files of a shard hash to."""
 RECOVERED, FREE, WHERE = "privileged.recovered", "privileged.free", "privileged.block"
 ACTS, ENDS = "segment.acts", "segment.ends_recovered"
 
@@ -53,49 +48,59 @@ def features(side: int) -> dict[str, dict[str, Any]]:
     }
 
 
-def write_shard(folder: Path, segments: Sequence[Segment], task: str, robot: str, stamp: Mapping[str, Any]) -> None:
-    """A LeRobot dataset with an episode for each segment; whole, or not there at all.
+def write_dataset(shards: Sequence[Path], folder: Path, workers: int = 1) -> Iterator[int]:
+    """One LeRobot dataset with an episode for each segment of the shards; whole, or not there at all.
 
-    Args:
-        task: what LeRobot's datasets call the instruction.
-        robot: what they call the robot type.
-        stamp: how it came about: seeds, rig hash, commit.
+    Yields:
+        How many shards are in it so far.
+
+    Raises:
+        TrainingError: a shard is missing, damaged or of another version.
     """
+    from lerobot.datasets.aggregate import aggregate_datasets
+
+    held = [shard for shard in shards if check_shard(shard)["segments"]]
+    parts = folder.with_name(f"{folder.name}.parts")
+    shutil.rmtree(parts, ignore_errors=True)
+    try:
+        jobs = [(shard, parts / f"{i:05d}") for i, shard in enumerate(held)]
+        yield from (i for i, _ in enumerate(parallel_map(_part, jobs, _nothing, workers), start=1))
+        with whole_folder(folder) as beside, _quiet():
+            aggregate_datasets([NAME] * len(jobs), NAME, roots=[part for _, part in jobs], aggr_root=beside)
+    finally:
+        shutil.rmtree(parts, ignore_errors=True)
+
+
+def _nothing() -> None:
+    """What a process needs beforehand."""
+
+
+def _part(_: None, job: tuple[Path, Path]) -> None:
+    """The dataset of one shard."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    with whole_folder(folder) as beside:
-        if segments:
-            dataset = LeRobotDataset.create(
-                repo_id="local/recoveries",
-                fps=int(RATE_HZ),
-                features=features(segments[0].pictures.shape[2]),
-                robot_type=robot,
-                root=beside,
-                use_videos=True,
-                vcodec=CODEC,
-                streaming_encoding=True,
-                encoder_queue_maxsize=QUEUE,
-                video_backend="pyav",
-            )
-            with _quiet():
-                try:
-                    for segment in segments:
-                        _add(dataset, segment, task)
-                    dataset.finalize()
-                except BaseException:
-                    _abandon(dataset)
-                    raise
-        write_text(beside / STAMP, _json({"version": VERSION, "files": _hashes(beside), **stamp}))
-
-
-def _json(data: Mapping[str, Any]) -> str:
-    return json.dumps(data, indent=2, sort_keys=True) + "\n"
-
-
-def _hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file but the stamp, by its path in the folder."""
-    paths = sorted(p for p in folder.rglob("*") if p.is_file() and p != folder / STAMP)
-    return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in paths}
+    shard, folder = job
+    stamp, segments = check_shard(shard), read_shard(shard)
+    with whole_folder(folder) as beside, _quiet():
+        dataset = LeRobotDataset.create(
+            repo_id=NAME,
+            fps=int(RATE_HZ),
+            features=features(segments[0].pictures.shape[2]),
+            robot_type=stamp["robot"],
+            root=beside,
+            use_videos=True,
+            vcodec=CODEC,
+            streaming_encoding=True,
+            encoder_queue_maxsize=QUEUE,
+            video_backend="pyav",
+        )
+        try:
+            for segment in segments:
+                _add(dataset, segment, stamp["task"])
+            dataset.finalize()
+        except BaseException:
+            _abandon(dataset)
+            raise
 
 
 @contextmanager
@@ -138,116 +143,3 @@ def _abandon(dataset: Any) -> None:
             with suppress(Exception):
                 owner.writer.close()
             owner.writer.is_open = False
-
-
-def merge_shards(shards: Sequence[Path], folder: Path) -> dict[str, int]:
-    """One LeRobot dataset of all shards, for whoever wants to train or look elsewhere; whole, or not there at all.
-
-    Returns:
-        How many "segments" (LeRobot's episodes) and "frames" it holds.
-
-    Raises:
-        TrainingError: a shard is missing, damaged or of another version.
-    """
-    from lerobot.datasets.aggregate import aggregate_datasets
-
-    for shard in shards:
-        check_shard(shard)
-    parts = [s for s in shards if (s / "meta" / "info.json").exists()]
-    with whole_folder(folder) as beside:
-        with _quiet():
-            aggregate_datasets(["local/recoveries"] * len(parts), "local/recoveries", roots=parts, aggr_root=beside)
-        stamps = [json.loads(read_text(s / STAMP)) for s in shards]
-        write_text(beside / STAMP, _json({"version": VERSION, "shards": stamps}))
-    info = json.loads(read_text(folder / "meta" / "info.json"))
-    return {"segments": int(info["total_episodes"]), "frames": int(info["total_frames"])}
-
-
-def moments(frames: Demonstrations, rows: int = 12, columns: int = 5) -> UInt8[np.ndarray, "r c v p p 3"]:
-    """What the cameras saw: segments drawn evenly, a row each, at moments spread evenly from its begin to its end."""
-    # Still moments and stubs show little.
-    chosen = [
-        s
-        for s in np.unique(frames.segment)
-        if (frames.segment == s).sum() >= columns and frames.acts[frames.segment == s].all()
-    ]
-    shown = []
-    for segment in chosen[:: max(1, len(chosen) // rows)][:rows]:
-        of = np.flatnonzero(frames.segment == segment)
-        some = of[np.linspace(0, len(of) - 1, columns).astype(int)]
-        shown.append(frames.pictures[some])
-    return np.stack(shown) if shown else np.zeros((0, columns, *frames.pictures.shape[1:]), dtype=np.uint8)
-
-
-def read_shards(folders: Sequence[Path]) -> Demonstrations:
-    """Every frame of the shards, decoded. Raises TrainingError where one is missing, broken or of another version."""
-    parts = [p for p in (_read_shard(folder) for folder in folders) if p is not None]
-    if not parts:
-        raise TrainingError("there is no demonstration: the teacher succeeded in none of its worlds")
-    offsets = np.cumsum([0, *(int(p.segment.max()) + 1 for p in parts)])
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([getattr(p, name) for p in parts])
-
-    return Demonstrations(
-        pictures=joined("pictures"),
-        state=joined("state"),
-        action=joined("action"),
-        recovered=joined("recovered"),
-        free=joined("free"),
-        block=joined("block"),
-        acts=joined("acts"),
-        segment=np.concatenate([p.segment + o for p, o in zip(parts, offsets, strict=False)]),
-        ends=joined("ends"),
-    )
-
-
-def _read_shard(folder: Path) -> Demonstrations | None:
-    import pyarrow.parquet as pq
-
-    check_shard(folder)
-    with reading(folder):
-        tables = [pq.read_table(path).to_pydict() for path in sorted((folder / "data").rglob("*.parquet"))]
-        if not tables:
-            return None
-        columns = {name: np.concatenate([np.asarray(t[name]) for t in tables]) for name in tables[0]}
-        pictures = np.stack([_decode(folder, view, len(columns["index"])) for view in VIEWS], axis=1)
-        return Demonstrations(
-            pictures,
-            columns["observation.state"].astype(np.float32),
-            columns["action"].astype(np.float32),
-            columns[RECOVERED].reshape(-1) > 0.5,
-            columns[FREE].reshape(-1) > 0.5,
-            columns[WHERE].astype(np.float32),
-            columns[ACTS].reshape(-1) > 0.5,
-            columns["episode_index"],
-            columns[ENDS].reshape(-1) > 0.5,
-        )
-
-
-def check_shard(folder: Path) -> None:
-    """Raises TrainingError where the shard is not, file by file, what `write_shard` left."""
-    with reading(folder):
-        stamp = json.loads(read_text(folder / STAMP))
-        found = stamp.get("version") if isinstance(stamp, dict) else None
-        if found != VERSION:
-            raise ValueError(f"its demonstrations are of version {found}, this program reads {VERSION}")
-        check_shape(stamp, {"files": {}})
-        here = _hashes(folder)
-        for name, digest in stamp["files"].items():
-            if name not in here:
-                raise ValueError(f"{name} is missing")
-            if here[name] != digest:
-                raise ValueError(f"{name} was cut off or altered since it was written")
-
-
-def _decode(folder: Path, view: str, count: int) -> UInt8[np.ndarray, "n p p 3"]:
-    import av
-
-    frames: list[np.ndarray] = []
-    for path in sorted((folder / "videos" / f"observation.images.{view}").rglob("*.mp4")):
-        with av.open(str(path)) as container:
-            frames += [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
-    if len(frames) != count:
-        raise ValueError(f"the videos of '{view}' hold {len(frames)} frames, the table {count}")
-    return np.stack(frames)
