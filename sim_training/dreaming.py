@@ -38,8 +38,9 @@ UNPLACED = 0.5
 """Share of dreams in which the causes of a failure that takes no part are there all the same."""
 REDRAWN = 20
 """Scenes that are drawn until one stands."""
-WANDERED = 0.1
-"""Wanderings for each attempt."""
+WANDERED = 0.2
+"""Wanderings for each attempt. Of what a skill ends a handful of cases has to be seen, and where given predicates err,
+half of the wanderings are over before that."""
 
 
 @dataclass(frozen=True)

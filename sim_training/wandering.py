@@ -7,8 +7,7 @@ know this makes plans that begin with what they then undo.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
@@ -36,8 +35,8 @@ def wander(
 ) -> tuple[Transition, ...]:
     """Given skills that the model says could be done next, and one recovery somewhere among them.
 
-    A skill is the likelier the less often it was done before, however many objects it could be done to. A hand that
-    goes from block to block would seldom hold one, and what is lost with it would not be seen.
+    Each skill is as likely as any other, however many objects it could be done to. A hand that could go to any of many
+    blocks would seldom hold one, and what is lost with it would not be seen.
 
     It ends with the first skill that does not do what it should. That one is not told: it may have failed of where the
     robot came from, which nobody will ask of it.
@@ -58,7 +57,7 @@ def wander(
         if i == recover_at:
             ground = recovery(before)
         elif possible:
-            step = _drawn(possible, Counter(t.skill for t in done), rng)
+            step = _drawn(possible, rng)
             ground, wanted = model.skill(step.name).ground(step.objects), step.add
         else:
             break
@@ -74,10 +73,9 @@ def wander(
     return tuple(done)
 
 
-def _drawn(possible: Sequence[GroundOperator], times: Mapping[str, int], rng: np.random.Generator) -> GroundOperator:
+def _drawn(possible: Sequence[GroundOperator], rng: np.random.Generator) -> GroundOperator:
     """First a skill, then what it is done to."""
     names = sorted({s.name for s in possible})
-    new = np.array([1 / (1 + times.get(name, 0)) for name in names])
-    chosen = names[int(rng.choice(len(names), p=new / new.sum()))]
+    chosen = names[int(rng.integers(len(names)))]
     ways = [s for s in possible if s.name == chosen]
     return ways[int(rng.integers(len(ways)))]

@@ -35,7 +35,7 @@ def _walk(seed: int) -> tuple[Transition, ...]:
     return wander(world, MODEL, task, reach, {"Punch"}, np.random.default_rng(seed))
 
 
-WALKS = tuple(_walk(seed) for seed in range(24))
+WALKS = tuple(_walk(seed) for seed in range(48))
 
 
 def test_each_step_begins_where_the_one_before_it_ended_and_was_possible() -> None:
