@@ -212,8 +212,7 @@ class _Stage:
         scenarios = (*(s.scenario for s in before), stage.scenario)
         with self._step("dream") as tell:
             seeds, count = c.seeds(number, "dream"), budgets.dreams_of(number)
-            attempts = budgets.attempts_of(c.takes_over(stage))
-            dreams = dream(able, domain, failures, scenarios, folder, seeds, count, attempts, workers, tell)
+            dreams = dream(able, domain, failures, scenarios, folder, seeds, count, budgets.attempts, workers, tell)
         types = tuple(o.type for o in mined.explanation.parameters)
         own = StageData(stage.recovery, types, newest.skill, dreams)
         if folder.figures("save") and (folder.library / "library.json").exists():

@@ -31,10 +31,6 @@ class StagePreset:
         """For the stage of that number, from 1."""
         return int(self.dreams * 2 ** (stage - 1))
 
-    def attempts_of(self, explained: bool) -> int:
-        """Of a stage whose recovery is known already or not: half are enough where no success model is to be shaped."""
-        return self.attempts // 2 if explained else self.attempts
-
 
 STAGE_PRESETS = {
     "smoke": StagePreset(
@@ -76,6 +72,6 @@ def _for_an_arm(preset: StagePreset, **budgets: int) -> StagePreset:
 
 ARM_PRESETS = {
     "smoke": _for_an_arm(STAGE_PRESETS["smoke"], failures=16, checks=8, dreams=48, attempts=96),
-    "quick": _for_an_arm(STAGE_PRESETS["quick"], checks=24, dreams=150),
+    "quick": _for_an_arm(STAGE_PRESETS["quick"], checks=24, dreams=150, attempts=300),
     "full": _for_an_arm(STAGE_PRESETS["full"], dreams=600),
 }
