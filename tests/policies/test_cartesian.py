@@ -95,6 +95,37 @@ def test_a_tip_that_is_held_blocks_the_move() -> None:
         follow(world, hand, hand.move(*(hand.position + [0, 0, 0.1]), hand.yaw, 0.1))
 
 
+class Late(Follower):
+    """An arm that stands where it was sent a fifth of a second ago."""
+
+    def act(self, target: JointTarget, duration: float) -> None:
+        self.sent = [*getattr(self, "sent", [JointTarget(self.arm.copy(), self.opening)] * 10), target]
+        super().act(self.sent[-11], duration)
+
+
+@settings(max_examples=10)
+@given(goal=place, speed=st.floats(0.05, 0.35))
+def test_an_arm_that_is_late_is_not_held(goal: tuple[float, float, float], speed: float) -> None:
+    """Least of all where it brakes: it is still as far behind as at full speed."""
+    world = Late(SCENE)
+    hand = hand_of(world)
+    follow(world, hand, hand.move(*goal, hand.yaw, speed))
+    np.testing.assert_allclose(RIG.tip_pose(world.arm)[:3, 3], goal, atol=1e-3)
+
+
+def test_a_late_arm_that_something_stops_on_its_way_is_held() -> None:
+    class Stopped(Late):
+        def act(self, target: JointTarget, duration: float) -> None:
+            super().act(target, duration)
+            self.stuck = self.time > 0.8
+
+    world = Stopped(SCENE)
+    hand = hand_of(world)
+    with pytest.raises(Blocked, match="held"):
+        follow(world, hand, hand.move(*(hand.position + [0, 0.3, 0]), hand.yaw, 0.25))
+    assert np.linalg.norm(hand.position - hand.tip()) < 0.02 + 0.3 * 0.25 + 0.01
+
+
 def test_a_push_blocks_a_move_that_minds_it_and_no_other() -> None:
     class Pushed(Follower):
         def act(self, target: JointTarget, duration: float) -> None:
