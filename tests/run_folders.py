@@ -27,6 +27,7 @@ from resync_robot.learning.success_model import SuccessModel
 from resync_robot.library_models import shipped_library
 from resync_robot.sim_training import ppo
 from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.dreaming import WANDERED
 from resync_robot.sim_training.learn_recovery import EVIDENCE, _Evidence
 from tests.libraries import DOMAIN
 from tests.scenes import B0, R
@@ -61,7 +62,8 @@ def make_run(path: Path) -> RunFolder:
     write_json(folder.path / "recovered.json", {"begun": list(states.values()), "states": list(states.values())})
     tried = Transition(tasks[1000].initial, "Pick", (R, B0), tasks[1000].initial, succeeded=False)
     budgets = ARM_PRESETS["smoke"]
-    for i in range(-(-(budgets.dreams + budgets.attempts) // CHUNK)):
+    dreamed = budgets.dreams + budgets.attempts + round(WANDERED * budgets.attempts)
+    for i in range(-(-dreamed // CHUNK)):
         attempt = Trajectory((tried,), tasks[1000].goal, False, "attempt")
         write_trajectories(folder.path / f"dreams-{i:03d}.jsonl", [attempt])
     for step, figures in {

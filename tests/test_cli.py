@@ -15,6 +15,7 @@ from resync_robot.commands.calibrate import CalibrateConfig
 from resync_robot.commands.check_domain import CheckDomainConfig
 from resync_robot.commands.doctor import DoctorConfig
 from resync_robot.commands.evaluate import EvaluateConfig
+from resync_robot.commands.export_dataset import ExportDatasetConfig
 from resync_robot.commands.new_domain import NewDomainConfig
 from resync_robot.commands.review import ReviewConfig
 from resync_robot.commands.train_sim import QUICK_MINUTES, TrainConfig
@@ -67,6 +68,7 @@ UNNAMED = {
     (CalibrateConfig, "what"),
     (CheckDomainConfig, "domain"),
     (NewDomainConfig, "name"),
+    (ExportDatasetConfig, "run"),
 }
 """What is given without the name of an option."""
 RENAMED = {(TrainConfig, "library"): "from"}
