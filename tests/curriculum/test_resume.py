@@ -65,7 +65,7 @@ STAGE_FILES = (
     f"{STAGE}/recovery.json",
     f"{STAGE}/recovery.safetensors",
 )
-MORE_DREAMS = tuple(f"{STAGE}/dreams-{i:03d}.jsonl" for i in range(1, 4))
+MORE_DREAMS = tuple(f"{STAGE}/dreams-{i:03d}.jsonl" for i in range(1, 5))
 """As the first file of them."""
 LEARNING = (f"{STAGE}/attempts.safetensors", f"{STAGE}/ppo.safetensors")
 """What is read only where the recovery is not finished."""
