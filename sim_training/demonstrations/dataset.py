@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from resync_robot.core.errors import TrainingError
 from resync_robot.core.files import whole_folder
 from resync_robot.learning.camera_view import ACTION_NAMES, BLOCK_NAMES, RATE_HZ, STATE_NAMES, VIEWS
 from resync_robot.sim_training.demonstrations.rollouts import Segment
-from resync_robot.sim_training.demonstrations.shards import check_shard, read_shard
+from resync_robot.sim_training.demonstrations.shards import NOTHING, check_shard, read_shard
 from resync_robot.sim_training.parallel import parallel_map
 
 NAME = "local/recoveries"
@@ -55,11 +56,13 @@ def write_dataset(shards: Sequence[Path], folder: Path, workers: int = 1) -> Ite
         How many shards are in it so far.
 
     Raises:
-        TrainingError: a shard is missing, damaged or of another version.
+        TrainingError: a shard is missing, damaged or of another version, or none holds anything.
     """
     from lerobot.datasets.aggregate import aggregate_datasets
 
     held = [shard for shard in shards if check_shard(shard)["segments"]]
+    if not held:
+        raise TrainingError(NOTHING)
     parts = folder.with_name(f"{folder.name}.parts")
     shutil.rmtree(parts, ignore_errors=True)
     try:

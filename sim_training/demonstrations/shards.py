@@ -30,6 +30,7 @@ did not tell free from recovered; 7 how far a block was carried; 8 was a LeRobot
 FRAMES, STAMP = "frames.safetensors", "resync.json"
 """The files of a shard: what was seen and done; version, seeds, rig, and what the other file hashes to."""
 QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 95, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+NOTHING = "there is no demonstration: the teacher succeeded in none of its worlds"
 PER_FRAME = ("state", "action", "recovered", "free", "block", "acts")
 
 
@@ -88,7 +89,7 @@ def read_shards(folders: Sequence[Path]) -> Demonstrations:
     """Every frame of the shards. Raises TrainingError where one is missing, broken or of another version."""
     segments = [s for folder in folders for s in read_shard(folder)]
     if not segments:
-        raise TrainingError("there is no demonstration: the teacher succeeded in none of its worlds")
+        raise TrainingError(NOTHING)
     lengths = [len(s.state) for s in segments]
     return Demonstrations(
         pictures=np.concatenate([s.pictures for s in segments]),

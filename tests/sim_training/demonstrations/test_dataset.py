@@ -59,3 +59,9 @@ def test_a_damaged_shard_is_named_before_anything_is_written(shards: list[Path],
     with pytest.raises(TrainingError, match="broken"):
         list(write_dataset([*shards, tmp_path / "broken"], tmp_path / "whole"))
     assert [p.name for p in tmp_path.iterdir()] == ["broken"]
+
+
+def test_shards_without_a_segment_make_no_dataset(shards: list[Path], tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match="none of its worlds"):
+        list(write_dataset([shards[1]], tmp_path / "whole"))
+    assert not list(tmp_path.iterdir())
