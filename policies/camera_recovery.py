@@ -46,9 +46,9 @@ from resync_robot.policies.grasp import travel_height
 from resync_robot.policies.state_recovery import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
 from resync_robot.policies.tip_over_guard import TipOverGuard, press_on
 
-ATTEMPT = RecoverySkillSettings(max_decisions=60)
-"""Most recoveries take 2 to 4 s. What has not worked in 6 is better begun again after another scan, which knows the
-block to a millimetre where pictures on the way do not."""
+ATTEMPT = RecoverySkillSettings(max_decisions=120)
+"""Most recoveries take 2 to 4 s. A block that rather tips over than slides is let go at every press, and gets on by a
+millimetre or two each time. What has not worked in 12 s is better begun again after another scan."""
 ASIDE = 0.004
 """m beside the block's middle at which an attempt may begin; demonstrations begin up to 6 mm beside it."""
 OVER_STEP = 0.015
@@ -176,6 +176,7 @@ def _drive(
             thinking.ask(*_observe(hand, goal, scanned, block.carried, rig, policy.picture, watch))
         if not (yield from press_on(hand, goal, DECISION_STEPS, guard)):
             # What was wanted, and what is being thought, is of a block that stood.
+            block.carried.fell_back(guard.stood_at)
             thinking.answer(hand.last.ready, wait=True)
             chunks, astray = Chunks(), True
             continue
@@ -191,8 +192,8 @@ def _drive(
             if astray:
                 # The policy comes down where the scan says, or where a block that it has dragged would be, and so on
                 # the edge of one that has moved otherwise. Where that one is, it sees.
-                beneath = np.array([*prediction.block[0, :2], 0.0])
-                over = _reach(hand, objects, hand.tip() + from_hand(beneath, hand.yaw))
+                beneath = hand.tip() + from_hand(np.array([*prediction.block[0, :2], 0.0]), hand.yaw)
+                over = _reach(hand, objects, np.array([*block.plausible(beneath[:2]), hand.tip()[2]]))
                 over[2] = hand.position[2]
                 steps = DECISION_STEPS * _decisions(over - hand.position)
                 astray = not (yield from press_on(hand, over, steps, guard))

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from resync_robot.core.library import Record
@@ -24,8 +25,8 @@ from resync_robot.learning.recovery_policy import STUD, commanded_tip, observe, 
 from resync_robot.policies.state_recovery import how_sure, recovery_nets
 
 BEYOND = 0.015
-"""m by which pictures may put a wall further away than the hand can have taken the block: rarely are they that wrong in
-worlds like those of training."""
+"""m by which pictures may put the block, or a wall of its box, further away than the hand can have taken it: rarely are
+they that wrong in worlds like those of training."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,12 @@ class CarriedBlock:
         """Whether a policy sees a wall further away than it can be."""
         gaps = wall_gaps(self.projected(tip, tip))[0].numpy()
         return bool((said.block[0, GAPS] > gaps + BEYOND).any())
+
+    def plausible(self, seen: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+        """The place of the block by pictures, m, world frame; where it cannot have got there, that by the scan and the
+        hand."""
+        place = self.state.get(self.objects[1], "x", "y") + self.carried.away
+        return seen if np.linalg.norm(seen - place) < BEYOND else place
 
     def step(self, policy: ByState, tip: np.ndarray, sent: np.ndarray) -> np.ndarray | None:
         """(3,) where the policy that knows the state sends the tip; None where it holds itself for done."""

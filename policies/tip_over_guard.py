@@ -25,6 +25,9 @@ PRESSED = 0.005
 RISE, RISE_STEPS = 0.002, 3
 """m above the lowest that it stood since it has pressed, for so many control steps: a hand that has struck wobbles by
 as much, but not for as long. Dragging a block that stands lifts the hand by less."""
+LIFTED = 0.0007
+"""m above that lowest at which a block that gives way a moment later has begun to lean: from there on it turned about
+its lower edge, and did not come along."""
 ABOVE = 0.001
 """m above the stud at which no hand rests that presses, unless the block leans."""
 LET_GO_RISE = 0.03
@@ -41,25 +44,30 @@ class TipOverGuard:
 
     Attributes:
         top: height of the block's upper face, its stud not counted, m; NaN where nobody measured it.
+        stood_at: (3,) m, the tip where it pressed last before it was lifted; None where it has not pressed.
     """
 
     top: float = np.nan
+    stood_at: Float[np.ndarray, "3"] | None = field(default=None, init=False)
     _lowest: float = field(default=np.inf, init=False)
     _risen: int = field(default=0, init=False)
 
-    def gives_way(self, tip_z: float, sent_z: float) -> bool:
+    def gives_way(self, tip: Float[np.ndarray, "3"], sent_z: float) -> bool:
         """Look at one control step.
 
         Args:
-            tip_z: height of the tip as measured, m.
-            sent_z: where it was sent, m.
+            tip: as measured, m.
+            sent_z: height where it was sent, m.
         """
+        tip_z = float(tip[2])
         if tip_z < self.top - BENEATH:
             return True
         if sent_z > tip_z - PRESSED:
-            self._lowest, self._risen = np.inf, 0
+            self._lowest, self._risen, self.stood_at = np.inf, 0, None
             return False
         self._lowest = min(self._lowest, tip_z)
+        if tip_z < self._lowest + LIFTED:
+            self.stood_at = tip
         self._risen = self._risen + 1 if tip_z > self._lowest + RISE else 0
         stud = self.top + STUD
         return (self._lowest < stud and tip_z > stud + ABOVE) or self._risen >= RISE_STEPS
@@ -83,7 +91,7 @@ def press_on(
     for i in range(1, steps + 1):
         hand.position = begin + (goal - begin) * i / steps
         hand.last = yield hand.target()
-        if guard.gives_way(hand.tip()[2], hand.position[2]):
+        if guard.gives_way(hand.tip(), hand.position[2]):
             break
     else:
         return True

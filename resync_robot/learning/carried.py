@@ -35,3 +35,10 @@ class Carried:
         if pressing and self._pressing_at is not None:
             self.away = self.away + tip[:2] - self._pressing_at
         self._pressing_at = np.array(tip[:2]) if pressing else None
+
+    def fell_back(self, stood_at: Float[np.ndarray, "3"] | None) -> None:
+        """What was pressed on has given way and was let go: it came along as far as where the tips were at (3,), m,
+        when it began to lean, and fell back on its feet; None where they did not press."""
+        if self._pressing_at is not None and stood_at is not None:
+            self.away = self.away + stood_at[:2] - self._pressing_at
+        self._pressing_at = None

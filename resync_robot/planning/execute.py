@@ -21,6 +21,7 @@ from resync_robot.core.world import World
 from resync_robot.planning.abstract import HOLDS, Abstraction
 from resync_robot.planning.atom_beliefs import AtomBeliefs, BeliefSettings
 from resync_robot.planning.effect_hypotheses import plan_or_suppose, with_relaxed_recoveries
+from resync_robot.planning.failures import Failures
 from resync_robot.planning.outcome_costs import OutcomeCosts
 from resync_robot.planning.search import Plan, plan
 from resync_robot.planning.skill_run import SkillListener, looks, run_for, run_skill, what_was_done
@@ -62,7 +63,7 @@ class EpisodeEnd(Enum):
     GOAL = "goal"
     NO_PLAN = "no plan"
     STUCK = "stuck"
-    """The same skill failed too often."""
+    """The same skill failed too often, and its objects are where they were."""
     EXHAUSTED = "exhausted"
     """Too many skills were run."""
     PLANNED = "planned"
@@ -113,8 +114,8 @@ class ExecuteSettings:
     max_skills: int = 24
     """One more try with a block that had to be put down takes four."""
     max_failures: int = 5
-    """Failures of one ground skill after which the episode is given up. A skill that breaks off in time often leaves
-    things better than they were, and the next attempt begins from there."""
+    """Failures in a row of one ground skill, with its objects where they were, after which the episode is given up. A
+    skill that breaks off in time often leaves things better than they were, and the next attempt begins from there."""
     horizon: int | None = None
     """Control steps, of all skills together, after which the episode is given up; None for no such limit."""
     heuristic: str = "lmcut"
@@ -139,7 +140,7 @@ def plan_and_execute(
     """Reach `goal` in `world` with what `model` knows: the paper's Plan_f."""
     s, listener = settings or ExecuteSettings(), listener or Listener()
     run = _Episode(world, model, goal, s, listener)
-    failures: Counter[str] = Counter()
+    failures = Failures()
     reason = "start"
     run.look()
     while True:
@@ -165,6 +166,7 @@ def plan_and_execute(
             listener.on_step_of_plan(index)
             if not listener.confirm(step):
                 return run.ended(EpisodeEnd.STOPPED, f"{step} was declined")
+            before = run.state
             outcome, came_true = run.attempt(step)
             if came_true:
                 run.in_vain.clear()
@@ -172,15 +174,15 @@ def plan_and_execute(
             listener.on_effects_missing(step)
             words = outcome.reason or "effects missing"
             reason = f"{step} did not do what it should ({outcome.ending.value}: {words})"
-            failures[str(step)] += 1
             run.in_vain[str(step)] += 1
-            if failures[str(step)] >= s.max_failures:
+            if failures.count(step, before, run.state) >= s.max_failures:
                 return run.ended(EpisodeEnd.STUCK, reason)
             failed = model.skill(step.name).ground(step.objects)
             if reaction and (recovery := reaction(failed, run.state)) is not None:
                 mended = run.react(recovery)
-                if s.retry and mended and not run.limit_reached():
-                    failures[str(step)] += not run.attempt(step)[1]
+                before = run.state
+                if s.retry and mended and not run.limit_reached() and not run.attempt(step)[1]:
+                    failures.count(step, before, run.state)
             break
 
 

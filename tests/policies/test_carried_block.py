@@ -48,6 +48,36 @@ def test_it_goes_as_far_as_the_hand_went_while_it_pressed(path: list[tuple[float
     np.testing.assert_allclose(carried.carried.away, pressed, atol=1e-12)
 
 
+def test_what_leaned_and_fell_back_came_along_no_further_than_where_it_stood() -> None:
+    carried = block().carried
+    for x in (0.0, 0.010, 0.030):
+        carried.follow(tip_at(x, 0.0, 0.0))
+    # It stood for 12 mm of the way, the last look at it among the 30.
+    carried.fell_back(tip_at(0.012, 0.0, 0.0))
+    np.testing.assert_allclose(carried.away, [0.012, 0.0], atol=1e-12)
+    # Where the hand is on its way back does not matter, and the next press adds to it.
+    for x, above in ((0.030, 0.03), (0.0, 0.03), (0.0, 0.0), (0.005, 0.0)):
+        carried.follow(tip_at(x, 0.0, above))
+    np.testing.assert_allclose(carried.away, [0.017, 0.0], atol=1e-12)
+    carried.follow(tip_at(0.0, 0.0, 0.03))
+    carried.fell_back(tip_at(0.3, 0.3, 0.0))
+    carried.fell_back(None)
+    np.testing.assert_allclose(carried.away, [0.017, 0.0], atol=1e-12)
+
+
+@given(st.floats(0.0, 0.1), st.floats(-np.pi, np.pi))
+def test_pictures_are_believed_of_a_place_only_near_where_the_hand_can_have_brought_it(off: float, to: float) -> None:
+    carried = block()
+    for x in (0.0, 0.02):
+        carried.carried.follow(tip_at(x, 0.0, 0.0))
+    place = SCENE.get(B0, "x", "y") + [0.02, 0.0]
+    seen = place + off * np.array([np.cos(to), np.sin(to)])
+    believed = carried.plausible(seen)
+    np.testing.assert_allclose(
+        believed, seen if off < BEYOND - 1e-9 else place, atol=2e-9 + (off >= BEYOND - 1e-9) * 1e-9
+    )
+
+
 def saying(gaps: np.ndarray) -> Prediction:
     return Prediction(np.zeros((1, 8, 3)), np.ones(1), np.ones(1), np.array([[0.0, 0.0, -0.06, *gaps, 0.0, 0.0]]))
 

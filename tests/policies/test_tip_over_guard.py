@@ -133,28 +133,47 @@ def test_a_hand_that_slid_off_the_block_notices_and_rises() -> None:
     assert hand.tip()[2] == pytest.approx(FLOOR + LET_GO_RISE, abs=1e-4)
 
 
+def at(z: float, x: float = 0.0) -> np.ndarray:
+    return np.array([x, 0.0, z])
+
+
 @given(HEIGHTS, HEIGHTS, HEIGHTS)
 def test_beside_a_block_is_beneath_its_top_whatever_it_was_sent(top: float, tip: float, sent: float) -> None:
-    assert (TipOverGuard(top=top).gives_way(tip, sent)) == (tip < top - BENEATH)
-    assert not TipOverGuard().gives_way(tip, sent)
+    assert (TipOverGuard(top=top).gives_way(at(tip), sent)) == (tip < top - BENEATH)
+    assert not TipOverGuard().gives_way(at(tip), sent)
 
 
 @given(st.lists(st.tuples(HEIGHTS, HEIGHTS), max_size=40), HEIGHTS)
 def test_a_hand_in_the_air_feels_nothing(steps: list[tuple[float, float]], height: float) -> None:
     guard = TipOverGuard()
     for tip, sent in steps:
-        guard.gives_way(tip, sent)
-    assert not guard.gives_way(height, height - PRESSED + 1e-6)
+        guard.gives_way(at(tip), sent)
+    assert not guard.gives_way(at(height), height - PRESSED + 1e-6)
     # And nothing of what it stood on before.
-    assert not guard.gives_way(height + 0.01, height - PRESSED)
+    assert not guard.gives_way(at(height + 0.01), height - PRESSED)
 
 
 @given(st.lists(HEIGHTS, min_size=1, max_size=40))
 def test_only_a_rise_above_the_lowest_that_lasts_is_a_lean(heights: list[float]) -> None:
     guard = TipOverGuard()
-    felt = [guard.gives_way(z, z - 2 * PRESSED) for z in heights]
+    felt = [guard.gives_way(at(z), z - 2 * PRESSED) for z in heights]
     risen = heights > np.minimum.accumulate(heights) + RISE
     assert felt == [bool(risen[max(0, i + 1 - RISE_STEPS) : i + 1].sum() == RISE_STEPS) for i in range(len(heights))]
+
+
+@given(st.lists(st.floats(0.0, 0.0006), min_size=1, max_size=20), st.integers(RISE_STEPS, 10))
+def test_it_remembers_where_a_block_stood_that_leans_now(standing: list[float], leaning: int) -> None:
+    """Each control step takes the hand 1 mm on."""
+    guard = TipOverGuard()
+    for i, z in enumerate(standing):
+        assert not guard.gives_way(at(z, 0.001 * i), z - 2 * PRESSED)
+    felt = [guard.gives_way(at(0.003 + 0.001 * i, 1.0), -2 * PRESSED) for i in range(leaning)]
+    assert felt.index(True) == RISE_STEPS - 1
+    assert guard.stood_at is not None
+    assert guard.stood_at[0] == pytest.approx(0.001 * (len(standing) - 1))
+    # In the air nothing stands beneath it.
+    guard.gives_way(at(0.1), 0.1)
+    assert guard.stood_at is None
 
 
 STRUCK = [14.0, 10.7, 9.2, 10.0, 11.6, 11.5, 10.3, 10.3, 11.5, 11.2, 11.0, 10.2, 11.0]
@@ -164,16 +183,18 @@ STRUCK = [14.0, 10.7, 9.2, 10.0, 11.6, 11.5, 10.3, 10.3, 11.5, 11.2, 11.0, 10.2,
 @pytest.mark.parametrize("known", [False, True])
 def test_a_hand_that_wobbles_after_it_has_struck_feels_no_lean(known: bool) -> None:
     guard = TipOverGuard(top=0.0) if known else TipOverGuard()
-    assert not any(guard.gives_way(z / 1000, -0.01) for z in STRUCK)
+    assert not any(guard.gives_way(at(z / 1000), -0.01) for z in STRUCK)
 
 
 def test_no_hand_rests_above_the_stud_of_a_block_that_stands() -> None:
     leaning = [*STRUCK, 11.9, 13.1, 14.4, 15.8]
     known, unknown = TipOverGuard(top=0.0), TipOverGuard()
-    assert [known.gives_way(z / 1000, -0.01) for z in leaning].index(True) == len(STRUCK) + 1
-    assert [unknown.gives_way(z / 1000, -0.01) for z in leaning].index(True) == len(STRUCK) + 2
+    assert [known.gives_way(at(z / 1000), -0.01) for z in leaning].index(True) == len(STRUCK) + 1
+    assert [unknown.gives_way(at(z / 1000), -0.01) for z in leaning].index(True) == len(STRUCK) + 2
     # On the way down it has not touched anything yet.
-    assert not any(TipOverGuard(top=0.0).gives_way(z, z - 2 * PRESSED) for z in np.linspace(0.05, STUD + 2 * ABOVE, 9))
+    assert not any(
+        TipOverGuard(top=0.0).gives_way(at(z), z - 2 * PRESSED) for z in np.linspace(0.05, STUD + 2 * ABOVE, 9)
+    )
 
 
 @pytest.mark.parametrize("ahead", [0.0, 0.05, 0.15])
