@@ -6,6 +6,10 @@
 In each fresh world a block is stuck. The attempt counts where the skill says that it is done and the skill that had
 failed then succeeds, run from there with the exact state. Time-outs count as failures. `camera_recovery.py` tries the
 policy alone, without guards. Rows that the file holds already are not run again. Prints JSON, a line for each look.
+
+`tipping` of a row is floor friction times the height of the stud's top over half the diagonal of the footprint: from
+about 1 on a block that is pressed in the middle and drawn from above tips over its corner before it slides. Blocks
+above 0.85 are counted apart as well.
 """
 
 from __future__ import annotations
@@ -16,15 +20,20 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from resync_robot.core.errors import MotionError, PerceptionError
 from resync_robot.core.intervals import wilson
 from resync_robot.core.library import Library, load_library
 from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import GroundSkill
+from resync_robot.core.symbols import Object
+from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BOX, ROBOT
 from resync_robot.deployment.devices import open_simulated
 from resync_robot.deployment.world import DeployedWorld
 from resync_robot.hardware.base import RobotError
+from resync_robot.learning.recovery_policy import STUD
 from resync_robot.library_models import camera_recovery, learned_model
 from resync_robot.planning.execute import Model
 from resync_robot.planning.skill_run import run_skill
@@ -37,6 +46,7 @@ from resync_robot.sim_training.physics.world import SimWorld
 from resync_robot.sim_training.recovery_problem import Judge
 from tests.libraries import gaussians_of
 
+TIPPING = 0.85
 FRESH = 980_000_000
 """First world seed; those of training and of the other benchmarks stay below it."""
 
@@ -78,7 +88,14 @@ def _attempt(context: _Context, job: tuple[str, int, bool]) -> dict[str, object]
     judge = Judge(failed, operator.preconditions, operator.add, model.abstraction.true_atoms, wherever=True)
     world = SimWorld(task, rig)
     mended = world.reset(left) and judge(world, begun)
-    return {"looks": looks, "seed": seed, "reference": reference, "done": done, "mended": mended, "end": why}
+    row = {"looks": looks, "seed": seed, "reference": reference, "done": done, "mended": mended, "end": why}
+    return row | {"tipping": round(_tipping(task, start.block), 3)}
+
+
+def _tipping(task: Task, block: Object) -> float:
+    width, height = task.initial.get(block, "size_x", "size_z")
+    friction = (task.physics["friction_block"] + task.physics["friction_box"]) / 2
+    return float(friction * (height + STUD) / (width / np.sqrt(2)))
 
 
 def main() -> None:
@@ -104,6 +121,7 @@ def main() -> None:
         of = [r for r in rows if r["looks"] == looks and r["reference"] == reference]
         right = sum(r["done"] and r["mended"] for r in of)
         low, high = wilson(right, len(of))
+        tipping = [r for r in of if r.get("tipping", 0.0) > TIPPING]
         said, mended = sum(r["done"] for r in of), sum(r["mended"] for r in of)
         print(
             json.dumps(
@@ -116,6 +134,8 @@ def main() -> None:
                     "mended": mended,
                     "done_and_mended": right,
                     "ci95": [round(low, 3), round(high, 3)],
+                    "tipping": len(tipping),
+                    "tipping_done_and_mended": sum(r["done"] and r["mended"] for r in tipping),
                 }
             )
         )
