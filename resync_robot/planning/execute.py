@@ -114,8 +114,8 @@ class ExecuteSettings:
     max_skills: int = 24
     """One more try with a block that had to be put down takes four."""
     max_failures: int = 5
-    """Failures in a row of one ground skill, with its objects where they were, after which the episode is given up. A
-    skill that breaks off in time often leaves things better than they were, and the next attempt begins from there."""
+    """Failures of one ground skill, with its objects where they were, after which the episode is given up. A skill that
+    breaks off in time often leaves things better than they were, and the next attempt begins from there."""
     horizon: int | None = None
     """Control steps, of all skills together, after which the episode is given up; None for no such limit."""
     heuristic: str = "lmcut"
