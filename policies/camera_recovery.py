@@ -43,7 +43,7 @@ from resync_robot.policies import camera_order
 from resync_robot.policies.carried_block import ByState, CarriedBlock
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
 from resync_robot.policies.grasp import travel_height
-from resync_robot.policies.state_recovery import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
+from resync_robot.policies.state_recovery import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach, leave
 from resync_robot.policies.tip_over_guard import TipOverGuard, press_on
 
 ATTEMPT = RecoverySkillSettings(max_decisions=120)
@@ -136,7 +136,7 @@ def _recover(
         _check_order(hand.last, rig, hues)
         with ThreadPoolExecutor(1, "camera-policy") as thread:
             finished = yield from _drive(hand, (robot, block, box), rig, policy, thread, s, m, by_state)
-        yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
+        yield from leave(hand, above, s)
     except Blocked as blocked:
         return SkillOutcome(SkillEnd.BLOCKED, str(blocked))
     except Stopped as stopped:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,9 +26,9 @@ from resync_robot.learning.recovery_policy import (
     observe,
     project,
 )
-from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
+from resync_robot.policies.cartesian import Blocked, GeneratorPolicy, Hand, Motion, run_motion
 from resync_robot.policies.grasp import travel_height
-from resync_robot.policies.state_recovery import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach
+from resync_robot.policies.state_recovery import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach, leave
 
 
 @dataclass
@@ -59,14 +59,15 @@ class PressInterface:
         self.effort_limit: tuple[float, ...] | None = s.effort_limit
         self._base_T_world = spatial.inverse(rig.arm.world_T_base)
         self._tip_T_flange = spatial.inverse(rig.gripper.flange_T_tip)
-        self.approach: Skill | None = Skill(
-            "Approach",
-            (ROBOT, BLOCK, BOX),
-            lambda objects, first: run_motion(_approach(objects, first, rig, s, v), first),
-            RATE_HZ,
-            time_limit_s=45,
-            effort_limit=s.effort_limit,
-        )
+
+        def skill(name: str, motion: Callable[[tuple[Object, ...], ArmObservation], Motion]) -> Skill:
+            def begin(objects: tuple[Object, ...], first: ArmObservation) -> GeneratorPolicy:
+                return run_motion(motion(objects, first), first)
+
+            return Skill(name, (ROBOT, BLOCK, BOX), begin, RATE_HZ, time_limit_s=45, effort_limit=s.effort_limit)
+
+        self.approach: Skill | None = skill("Approach", lambda objects, first: _approach(objects, first, rig, s, v))
+        self.leave: Skill | None = skill("Leave", lambda _objects, first: _leave(first, rig, s))
 
     def begin(self, objects: tuple[Object, ...], state: State, rng: np.random.Generator) -> PressRun:
         robot, _, _ = objects
@@ -114,3 +115,13 @@ def _approach(
     except Blocked as blocked:
         return SkillOutcome(SkillEnd.BLOCKED, str(blocked))
     return refused or SkillOutcome(SkillEnd.DONE)
+
+
+def _leave(first: ArmObservation, rig: Rig, s: RecoverySkillSettings) -> Motion:
+    """As the finished skill ends."""
+    hand = Hand(rig, first, 1.0 / RATE_HZ, stray=np.inf)
+    try:
+        yield from leave(hand, travel_height(first.state, carried=None), s)
+    except Blocked as blocked:
+        return SkillOutcome(SkillEnd.BLOCKED, str(blocked))
+    return SkillOutcome(SkillEnd.DONE)

@@ -112,7 +112,7 @@ def _recover(
                     action = action + NOISE * torch.randn(action.shape, generator=noise)
                 goal = commanded_tip(projected, action)[0].double().numpy()
             yield from press_on(hand, goal, DECISION_STEPS, guard)
-        yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
+        yield from leave(hand, above, s)
     except Blocked as blocked:
         return SkillOutcome(SkillEnd.BLOCKED, str(blocked))
     if not finished:
@@ -152,6 +152,11 @@ def approach(
     start = min(above, z + height / 2 + STUD + s.approach_height)
     yield from hand.move(x, y, start, yaw, s.approach_speed)
     return None
+
+
+def leave(hand: Hand, above: float, s: RecoverySkillSettings) -> Generator[JointTarget, ArmObservation, None]:
+    """Straight up, off the block. Raises Blocked."""
+    yield from hand.move(hand.position[0], hand.position[1], above, hand.yaw, s.approach_speed)
 
 
 def _part(record: Record, prefix: str) -> dict[str, np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,8 @@ class Judge:
             are planned for, and the failed skill is not just run. None to run it.
         wherever: it has to succeed from where the robot set out, too. To be asked for where there are scenes in which
             it does: those in which nothing obstructs.
+        leave: what the finished recovery ends with, if anything. It comes first, and then another look: what is pressed
+            on moves when the hand lets go of it, so a skill that begins with the look of before misses it.
     """
 
     failed: GroundSkill
@@ -47,9 +49,11 @@ class Judge:
     true_atoms: Callable[[State], Atoms]
     plan_with: Model | None = None
     wherever: bool = False
+    leave: GroundSkill | None = None
 
     def __call__(self, simulator: TrainingSimulator[Any, Any], begun: State) -> bool:
-        """Whether it succeeds from here, and, where that is asked for, would, were the robot where it set out.
+        """Whether it succeeds once the recovery ends here, and, where that is asked for, would, were the robot where it
+        set out.
 
         Only then is the failure mended, and not just passed by: what is learned of the objects has to hold wherever
         the robot comes from.
@@ -57,7 +61,10 @@ class Judge:
         Args:
             begun: the state in which the robot set out.
         """
-        before, state = simulator.save(), simulator.perceive()
+        before = simulator.save()
+        if self.leave is not None:
+            run_skill(simulator, self.leave)
+        state = simulator.perceive()
         succeeded = self._succeeds(simulator)
         simulator.restore(before)
         if succeeded and self.wherever:
@@ -117,6 +124,7 @@ class Direct:
     features: int
     embodiment: Embodiment
     approach: None = None
+    leave: None = None
     effort_limit: None = None
 
     @property
@@ -211,6 +219,8 @@ def pose_problem(
 ) -> Problem:
     """What is to be learned, from states from which the skill fails."""
     judge = judge_of(domain, model, explanation)
+    if stage.interface is not None and stage.interface.leave is not None:
+        judge = replace(judge, leave=stage.interface.leave.ground(explanation.projected))
     view = RelationalView(explanation.projected, domain.relations)
     interface = stage.interface or Direct(view, view.size, embodiment)
     return Problem(domain, embodiment, stage, explanation, tuple(starts), judge, interface)

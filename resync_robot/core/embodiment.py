@@ -80,6 +80,11 @@ class RecoveryInterface(Protocol):
         ...
 
     @property
+    def leave(self) -> Skill[Any, Any] | None:
+        """Over the same: what the finished skill does once the policy is done. Verdicts are about what that leaves."""
+        ...
+
+    @property
     def effort_limit(self) -> tuple[float, ...] | None:
         """(6,) N m that an arm may use meanwhile, or None for its own."""
         ...

@@ -1,10 +1,12 @@
 """How dreaming and planning grow with the stages that are known and with the objects of a scene.
 
-    python tests/benchmarks/growth.py RUN_FOLDER [--objects 2 4 6 8] [--scenes 10]
+    python tests/benchmarks/growth.py RUN_FOLDER [--objects 2 4 6 8] [--room 4] [--scenes 10]
 
 For the library after each stage, and scenes with so many objects that its failures can be about, with every known cause
 in the way of the first of them: how many combinations there are to dream of, and the time of grounding and of planning
-to the domain's usual goal, on one core. Minutes of each step of the run stand in its metrics.json.
+to the domain's usual goal, on one core. Where a scene has room for fewer objects (`--room`), the others stand in a row
+beyond it: neither grounding nor planning asks whether the robot reaches them. Minutes of each step of the run stand in
+its metrics.json.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +23,9 @@ import torch
 from resync_robot.core.errors import PlanningError
 from resync_robot.core.library import load_library
 from resync_robot.core.rig import load_rig
+from resync_robot.core.state import State
+from resync_robot.core.symbols import Type
+from resync_robot.core.task import Task
 from resync_robot.curriculum.dream import usual_objects
 from resync_robot.learning.failures import FailureModel
 from resync_robot.library_models import embodiment_of, learned_model
@@ -29,12 +35,27 @@ from resync_robot.sim_training.dreaming import Dream, Dreamer, Placement
 
 FRESH = 960_000_000
 """First seed of the scenes."""
+BEYOND = 0.3
+"""m between the objects that a scene has no room for."""
+
+
+def crowded(task: Task, kind: Type, count: int) -> Task:
+    """The task with as many objects of one type as are asked for: what is missing are copies of the last one, in a row
+    that leads away from it."""
+    here = task.initial.of_type(kind)
+    copies = {}
+    for i in range(len(here), count):
+        x, y = task.initial.get(here[-1], "x", "y") + [0.0, -BEYOND * (1 + i - len(here))]
+        copies[kind(f"{here[-1].name}-{i}")] = task.initial.with_features(here[-1], x=x, y=y)[here[-1]]
+    state = State({**{o: task.initial[o] for o in task.initial}, **copies})
+    return replace(task, objects=state.objects, initial=state)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path)
     parser.add_argument("--objects", type=int, nargs="+", default=[2, 4, 6, 8])
+    parser.add_argument("--room", type=int, default=8)
     parser.add_argument("--scenes", type=int, default=10)
     args = parser.parse_args()
     torch.set_num_threads(1)
@@ -51,11 +72,11 @@ def main() -> None:
         before = tuple(Placement(i, "before", 0) for i in range(len(failures)))
         spent = [metrics[f"{place.parent.name}/{step}"]["seconds"] / 60 for step in ("dream", "discover")]
         for count in args.objects:
-            there = {**usual, failures[-1].relevant: count}
+            there = {**usual, failures[-1].relevant: min(count, args.room)}
             dreamer = Dreamer(domain, embodiment_of(domain, rig), failures, model, there)
             grounding, planning, steps = [], [], []
             for seed in range(FRESH, FRESH + args.scenes):
-                task = dreamer.task(Dream(before, seed))
+                task = crowded(dreamer.task(Dream(before, seed)), failures[-1].relevant, count)
                 begun = time.perf_counter()
                 atoms = model.abstraction.true_atoms(task.initial)
                 grounding.append(1000 * (time.perf_counter() - begun))
@@ -67,8 +88,9 @@ def main() -> None:
                 steps.append(len(found.steps))
             shown = f"{np.median(planning):.0f}, {np.percentile(planning, 95):.0f}" if planning else "no plan"
             minutes, median = f"{spent[0]:.1f}, {spent[1]:.1f}", np.median(steps) if steps else 0
+            combinations = len(dreamer.combinations()) if count <= args.room else "-"
             print(
-                f"| {place.parent.name} | {minutes} | {count} | {len(dreamer.combinations())} | "
+                f"| {place.parent.name} | {minutes} | {count} | {combinations} | "
                 f"{np.median(grounding):.1f} | {shown} | {median:.0f} |",
                 flush=True,
             )

@@ -76,3 +76,18 @@ def test_scenes_do_not_mix(world: SimWorld) -> None:
     together = interface.see(runs, states)
     np.testing.assert_allclose(together[1:], interface.see(runs[1:], states[1:]))
     assert not torch.allclose(torch.as_tensor(together[0]), torch.as_tensor(together[1]))
+
+
+def test_it_ends_as_the_skill_does_and_what_was_pressed_on_is_seen_anew(world: SimWorld) -> None:
+    interface = PressInterface(RIG, PUNCTUAL)
+    assert interface.approach is not None and interface.leave is not None
+    run_skill(world, interface.approach.ground(OBJECTS))
+    run = interface.begin(OBJECTS, world.perceive(), np.random.default_rng(0))
+    for _ in range(12):
+        (target,) = interface.act([run], [world.perceive()], np.array([[-0.3, -0.3, -1.0]]))
+        world.act(target, 1 / interface.rate_hz)
+    pressed = world.perceive()
+    assert run_skill(world, interface.leave.ground(OBJECTS)).done
+    left = world.perceive()
+    np.testing.assert_allclose(left.get(R, "x", "y"), pressed.get(R, "x", "y"), atol=0.02)
+    assert left.get(R, "z")[0] > left.get(THE_BOX, "z", "wall_z").sum()

@@ -67,18 +67,20 @@ class _Observation:
 GRIP = object()
 
 
-class _Grip:
-    def __init__(self) -> None:
-        self.asked = False
+class _Once:
+    """Takes one action."""
+
+    def __init__(self, action: Any) -> None:
+        self._left = [action]
 
     def step(self, observation: Any) -> Any:
-        if self.asked:
-            return SkillOutcome(SkillEnd.DONE)
-        self.asked = True
-        return GRIP
+        return self._left.pop() if self._left else SkillOutcome(SkillEnd.DONE)
 
 
-GRIP_SKILL = Skill("Grip", (PUSHER, SLIDER), lambda objects, observation: _Grip(), 10.0, 1.0)
+GRIP_SKILL = Skill("Grip", (PUSHER, SLIDER), lambda objects, observation: _Once(GRIP), 10.0, 1.0)
+ONWARD = 0.1
+"""m that a pusher coasts."""
+COAST_SKILL = Skill("Coast", (PUSHER, SLIDER), lambda objects, observation: _Once(np.array([ONWARD])), 10.0, 1.0)
 EMBODIMENT = Embodiment(actions={"dx": (-0.1, 0.1)}, rate_hz=10, simulate=Rail, skills=lambda: (GRIP_SKILL,))
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from resync_robot.arm_embodiment import arm_stage
 from resync_robot.core.relations import seen
@@ -20,6 +22,7 @@ from resync_robot.sim_training.domains.cornered_insertion_s.corner import RELATI
 from resync_robot.sim_training.failure_mining import Explanation
 from resync_robot.sim_training.recovery_problem import Problem, Start, judge_of, pose_problem
 from tests.scenes import B0, THE_BOX, R
+from tests.sim_training.sliding import COAST_SKILL, JUDGE, ONWARD, P, Rail, S, task_at
 
 DOMAIN = find_domain("cornered-insertion-s")
 PUCKS = str(Path(__file__).parents[2] / "docs" / "puck_behind_a_door.py")
@@ -87,3 +90,17 @@ def test_what_the_failed_skill_needs_is_brought_about_first(skill: str, others: 
     assert (judge.needs <= context.model.abstraction.true_atoms(simulator.perceive())) == (skill == "Fetch")
     judge.makes_ready(simulator, context.model, task)
     assert judge.needs <= context.model.abstraction.true_atoms(simulator.perceive())
+
+
+@given(st.floats(0, 1), st.floats(0, 1))
+def test_a_verdict_is_about_what_the_end_of_the_recovery_leaves(one: float, other: float) -> None:
+    task = task_at(min(one, other), max(one, other))
+    rail, moved = Rail(task), Rail(task)
+    moved.act(np.array([ONWARD]), 0.1)
+    judge = replace(JUDGE, leave=COAST_SKILL.ground((P, S)))
+    assert judge(rail, task.initial) == JUDGE(moved, task.initial)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(rail.save(), Rail(task).save(), "the simulator is left as it was")
+
+
+def test_the_arm_is_judged_once_it_has_let_go(problem: Problem) -> None:
+    assert str(problem.judge.leave) == "Leave(r, b0, box)"
