@@ -11,23 +11,12 @@ import pytest
 from resync_robot import cli
 from resync_robot.core.episode import Episode, read_episode
 from resync_robot.core.episode_records import EventKind
-from resync_robot.core.errors import RenderError
-from resync_robot.core.rig import load_rig
 from resync_robot.core.skill import GroundSkill
 from resync_robot.deployment.recorder import Recorder
 from resync_robot.hardware.base import Halt
-from resync_robot.sim_training.physics.world import SimWorld
-from tests import emulators, scenes
+from tests import emulators
 
-pytestmark = pytest.mark.realtime
-
-
-@pytest.fixture(scope="module", autouse=True)
-def renderer() -> None:
-    try:
-        SimWorld(scenes.scene({"b0": (0.0, 0.0)}), load_rig(), rendered=True)
-    except RenderError as error:
-        pytest.skip(f"no Vulkan device: {error.what}")
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("renderer")]
 
 
 def deployed(folder: Path, *faults: str) -> tuple[int, Episode]:

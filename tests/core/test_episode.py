@@ -3,13 +3,7 @@
 from __future__ import annotations
 
 import json
-import logging
-import os
-import signal
 import struct
-import subprocess
-import sys
-import textwrap
 from dataclasses import astuple, replace
 
 import numpy as np
@@ -27,9 +21,8 @@ from resync_robot.core.rig import load_rig
 from resync_robot.core.state import State
 from resync_robot.core.symbols import SE2, Type
 from resync_robot.core.vocabulary import BLOCK
-from resync_robot.core.world import CameraFrame
+from tests.core.recorded import SIX, block_state, meta, write
 
-SIX = np.linspace(-1, 1, 6)
 VIEWED = (
     "/robot_description", "/tf_static", "/joint_states", "/joint_commands", "/tf", "/wrench", "/plan_text",
     "/atoms_text", "/rosout", "/latency", "/belief_markers", "/truth_markers", "/camera/wrist/camera_info",
@@ -37,45 +30,6 @@ VIEWED = (
     "/camera/wrist/film", "/points",
 )  # fmt: skip
 """The channels for viewers."""
-
-
-def meta() -> EpisodeMeta:
-    return EpisodeMeta.of(
-        load_rig(), library_hash="abc", domain="d", scenario="S1", goal="On(b1, b0)", seed=3, backend="sim"
-    )
-
-
-def block_state(x: float) -> State:
-    features = np.array([x, 0, 0.02, 1, 0, 0, 0, 0.06, 0.06, 0.045])
-    return State({BLOCK("b0"): features}, {BLOCK("b0"): np.eye(10) * 1e-6})
-
-
-def write(path, seconds: float = 3.0, begin: float = 0.0) -> None:
-    """Fifty joint messages a second, and one of everything else each second."""
-    rng = np.random.default_rng(0)
-    with EpisodeWriter(path, meta(), begin) as writer:
-        for k in range(int(seconds * 50)):
-            t = begin + k * 0.02
-            target = JointTarget(SIX * k, 0.1)
-            writer.joints(t, SIX * k + 0.01, SIX, 0.09, target, target)
-            writer.tip_force(t, np.array([0.0, 1.0, k]))
-            if k % 50 == 0:
-                writer.event(t, EventKind.SCAN, "looked", pose=np.eye(2))
-                writer.state(t, block_state(k * 0.02))
-                writer.truth(t, block_state(k * 0.02 + 0.001))
-                writer.atoms(t, {"On(b0, b1)": 0.25, "HandEmpty(r)": 1.0})
-                writer.plan(t, ["Pick(r, b0)", "Insert(r, b0, b1)"], k // 50, "first")
-                xyz = rng.normal(size=(200, 3)).astype(np.float32)
-                writer.points(t, xyz, np.tile(np.array([7, 8, 9], np.uint8), (200, 1)))
-                frame = CameraFrame(
-                    "wrist", np.zeros((4, 6, 3), np.uint8), np.zeros((4, 6), np.uint16), np.eye(3) * 2, np.eye(4), t
-                )
-                writer.picture(frame, rng.bytes(3000), b"png")
-                writer.window("wrist", t, b"png")
-                writer.film("wrist", t, b"\xff\xd8jpeg")
-                writer.timing(Timing(t - 0.08, t - 0.01, t, 0.002))
-        writer.flush()
-        assert writer.error is None
 
 
 @pytest.fixture(scope="module")
@@ -346,89 +300,6 @@ def test_meta_of_another_format_is_refused(tmp_path, content):
     raw_episode(tmp_path / "e.mcap", "/x", b"", content)
     with pytest.raises(EpisodeError):
         read_episode(tmp_path / "e.mcap")
-
-
-def test_missing_file_and_existing_file(tmp_path):
-    with pytest.raises(EpisodeError, match="cannot read"):
-        read_episode(tmp_path / "none.mcap")
-    (tmp_path / "there.mcap").write_bytes(b"x")
-    with pytest.raises(EpisodeError, match="exists already"):
-        EpisodeWriter(tmp_path / "there.mcap", meta())
-    assert (tmp_path / "there.mcap").read_bytes() == b"x"
-    with pytest.raises(EpisodeError, match="cannot write"):
-        EpisodeWriter(tmp_path / "there.mcap" / "e.mcap", meta())
-
-
-def test_a_failing_write_is_reported_once_and_never_raised(tmp_path, caplog):
-    path = tmp_path / "e.mcap"
-    with caplog.at_level(logging.ERROR), EpisodeWriter(path, meta()) as writer:
-        writer.tip_force(0.0, np.zeros(3))
-        writer.event(0.1, EventKind.SCAN, "first")
-        writer.flush()
-        os.close(writer._file.fileno())  # the disk goes away
-        for k in range(200):
-            writer.tip_force(0.2 + k, np.zeros(3))
-    assert isinstance(writer.error, EpisodeError)
-    assert len(caplog.records) == 1
-    episode = read_episode(path)
-    assert episode.damage is not None and len(list(episode.tip_force())) >= 1
-
-
-@pytest.mark.parametrize("room", [0, 3_000])
-def test_a_full_disk_keeps_what_can_be_read_and_nothing_else(room, tmp_path):
-    path = tmp_path / "e.mcap"
-    program = textwrap.dedent(f"""
-        import resource, signal
-        from pathlib import Path
-        import numpy as np
-        from resync_robot.core.episode_records import EpisodeMeta
-        from resync_robot.core.episode_writer import EpisodeWriter
-        from resync_robot.core.errors import DiskError
-        from resync_robot.core.rig import load_rig
-        meta = EpisodeMeta.of(load_rig(), library_hash="", domain="", scenario="", goal="", seed=0, backend="sim")
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, -1))
-        with EpisodeWriter(Path({str(path)!r}), meta) as writer:
-            for k in range(2000):
-                writer.tip_force(k * 0.02, np.random.normal(size=3))
-        assert isinstance(writer.error, DiskError) and "File too large" in writer.error.what, writer.error
-    """)
-    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert path.exists() == (room > 0)
-    if room:
-        episode = read_episode(path)
-        assert episode.damage is not None and episode.meta.backend == "sim"
-
-
-def test_what_json_cannot_hold_is_reported_and_never_raised(tmp_path, caplog):
-    with EpisodeWriter(tmp_path / "e.mcap", meta()) as writer:
-        writer.event(0.0, EventKind.SCAN, "odd", thing=object())
-    assert writer.error is not None and "not JSON serializable" in writer.error.what
-    assert len(caplog.records) == 1
-
-
-def test_a_killed_process_loses_about_a_second(tmp_path):
-    path = tmp_path / "e.mcap"
-    program = textwrap.dedent(f"""
-        import os, signal, time
-        from pathlib import Path
-        import numpy as np
-        from resync_robot.core.episode_records import EpisodeMeta
-        from resync_robot.core.episode_writer import EpisodeWriter
-        from resync_robot.core.rig import load_rig
-        meta = EpisodeMeta.of(load_rig(), library_hash="", domain="", scenario="", goal="", seed=0, backend="sim")
-        writer = EpisodeWriter(Path({str(path)!r}), meta)
-        for k in range(500):
-            writer.tip_force(k * 0.02, np.zeros(3))
-            time.sleep(1e-3)  # what still waits in memory is lost too
-        os.kill(os.getpid(), signal.SIGKILL)
-    """)
-    done = subprocess.run([sys.executable, "-c", program], check=False)
-    assert done.returncode == -signal.SIGKILL
-    episode = read_episode(path)
-    assert episode.damage is not None
-    assert len(list(episode.tip_force())) >= 450
 
 
 def test_a_recording_has_the_types_of_its_objects(tmp_path):
