@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from resync_robot.curriculum.run_folder import RunFolder
     from resync_robot.curriculum.run_settings import RunSettings
 
-QUICK_MINUTES = 53
+QUICK_MINUTES = 34
 """Of --preset quick on two cores, with the camera policy; README says the same."""
 
 

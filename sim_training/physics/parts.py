@@ -76,11 +76,9 @@ def hull_triangles(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(vertices)
-    corners, normals = [], []
-    for triangle, plane in zip(hull.simplices, hull.equations, strict=True):
-        a, b, c = vertices[triangle]
-        outward = np.dot(np.cross(b - a, c - a), plane[:3]) > 0
-        corners += [a, b, c] if outward else [a, c, b]
-        normals += [plane[:3]] * 3
-    count = len(corners)
-    return np.array(corners), np.arange(count, dtype=np.uint32).reshape(-1, 3), np.array(normals)
+    corners, outward = vertices[hull.simplices], hull.equations[:, :3]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inside_out = (across * outward).sum(1) <= 0
+    corners[inside_out, 1:] = corners[inside_out, :0:-1]
+    triangles = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
+    return corners.reshape(-1, 3), triangles, np.repeat(outward, 3, axis=0)
