@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import pytest
 from hypothesis import settings
 
-from resync_robot.core.errors import MotionError
+from resync_robot.core.errors import MotionError, RenderError
 from tests.stalls import MOST_S, LimitBrokenError, Stalls
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -61,3 +61,17 @@ def full_disk():
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
     return limited
+
+
+@pytest.fixture(scope="module")
+def renderer() -> None:
+    """Skips where this machine cannot draw."""
+    # Both take seconds to import, and few tests draw.
+    from resync_robot.core.rig import load_rig
+    from resync_robot.sim_training.physics.world import SimWorld
+    from tests import scenes
+
+    try:
+        SimWorld(scenes.scene({"b0": (0.0, 0.0)}), load_rig(), rendered=True)
+    except RenderError as error:
+        pytest.skip(f"no Vulkan device: {error.what}")

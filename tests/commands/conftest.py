@@ -6,11 +6,7 @@ from pathlib import Path
 import pytest
 
 from resync_robot import cli
-from resync_robot.core.errors import RenderError
 from resync_robot.core.library import save_library
-from resync_robot.core.rig import load_rig
-from resync_robot.sim_training.physics.world import SimWorld
-from tests import scenes
 from tests.commands.pretended_episodes import pretended
 from tests.libraries import given_library
 
@@ -19,14 +15,6 @@ from tests.libraries import given_library
 def library(tmp_path: Path) -> Path:
     save_library(given_library(), tmp_path / "library")
     return tmp_path / "library"
-
-
-@pytest.fixture(scope="module")
-def renderer() -> None:
-    try:
-        SimWorld(scenes.scene({"b0": (0.0, 0.0)}), load_rig(), rendered=True)
-    except RenderError as error:
-        pytest.skip(f"no Vulkan device: {error.what}")
 
 
 @pytest.fixture

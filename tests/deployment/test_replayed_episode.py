@@ -18,7 +18,7 @@ from resync_robot.core import ros_messages
 from resync_robot.core.episode import Episode, read_episode
 from resync_robot.core.episode_records import Answer, Ask, EpisodeMeta, EventKind
 from resync_robot.core.episode_writer import EpisodeWriter
-from resync_robot.core.errors import ConfigError, PerceptionError, RenderError
+from resync_robot.core.errors import ConfigError, PerceptionError
 from resync_robot.core.joints import JointTarget
 from resync_robot.core.library import save_library
 from resync_robot.core.mcap_file import read_whole, write_whole
@@ -324,14 +324,6 @@ def exchange(path: Path, out: Path) -> None:
         for i, other in zip(rows, reversed(data), strict=True):
             records[i] = replace(records[i], data=other)
     write_whole(records, out)
-
-
-@pytest.fixture(scope="module")
-def renderer() -> None:
-    try:
-        SimWorld(scenes.scene({"b0": (0.0, 0.0)}), load_rig(), rendered=True)
-    except RenderError as error:
-        pytest.skip(f"no Vulkan device: {error.what}")
 
 
 @pytest.mark.slow
