@@ -78,7 +78,7 @@ def test_scenes_do_not_mix(world: SimWorld) -> None:
     assert not torch.allclose(torch.as_tensor(together[0]), torch.as_tensor(together[1]))
 
 
-def test_it_ends_as_the_skill_does_and_what_was_pressed_on_is_seen_anew(world: SimWorld) -> None:
+def test_it_ends_as_the_skill_does_straight_up_and_over_the_walls(world: SimWorld) -> None:
     interface = PressInterface(RIG, PUNCTUAL)
     assert interface.approach is not None and interface.leave is not None
     run_skill(world, interface.approach.ground(OBJECTS))
