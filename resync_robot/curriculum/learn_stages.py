@@ -19,7 +19,7 @@ from resync_robot.curriculum.context import Known
 from resync_robot.curriculum.dream import dream, earlier_dreams
 from resync_robot.curriculum.mine import Mined, mine
 from resync_robot.curriculum.model_card import with_card
-from resync_robot.curriculum.plots import draw_learning_curve
+from resync_robot.curriculum.plots import draw_learning_curve, draw_model
 from resync_robot.curriculum.presets import ARM_PRESETS, STAGE_PRESETS, TRAINING_SEEDS, StagePreset
 from resync_robot.curriculum.recover import check, recover
 from resync_robot.curriculum.run_folder import RunFolder
@@ -29,7 +29,8 @@ from resync_robot.learning.concepts import learn_concepts
 from resync_robot.learning.dataset import StageData
 from resync_robot.learning.failures import FailureModel, PairGaussian
 from resync_robot.learning.model import Concepts
-from resync_robot.library_models import known_concepts, make_library
+from resync_robot.library_models import known_concepts, learned_names, make_library
+from resync_robot.planning.model_graph import graph_of
 
 STEPS = ("mine", "recover", "check", "dream", "discover", "save")
 DISTIL = "distil"
@@ -288,6 +289,7 @@ class _Stage:
             figures=folder.all_figures,
         )
         library = make_library(c.domain, c.rig, learned, record, concepts, c.provenance, policy, self._library)
+        draw_model(graph_of(concepts.operators, learned_names(c.domain, library)), folder.path / "model.png")
         if c.takes_over(stage):
             save_library(library, folder.library)
             folder.record("save", {"content_hash": library.content_hash})

@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
 from resync_robot.figures import font, save_figure
+from resync_robot.planning.model_graph import ModelGraph, Node
 
 if TYPE_CHECKING:
-    pass
+    from matplotlib.axes import Axes
 
-BLUE, GREY = "#1f6fb4", "#999999"
+BLUE, GREY, ORANGE = "#1f6fb4", "#999999", "#d9780f"
 
 
 def contact_sheet(shown: UInt8[np.ndarray, "r c v h w 3"], views: Sequence[str]) -> UInt8[np.ndarray, "y x 3"]:
@@ -124,3 +125,44 @@ def draw_distillation(
     )
     save_figure(figure, path)
     plt.close(figure)
+
+
+def draw_model(graph: ModelGraph, path: Path) -> None:
+    """Which skill makes what true for which, from above to below, as PNG: skills framed, what was learned orange.
+
+    What a skill brings back for an earlier one is drawn dashed.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    places = graph.places()
+    wide, across = 0.085 * max(len(n.name) for n in places) + 0.35, max(len(layer) for layer in graph.layers)
+    figure = plt.figure(figsize=(wide * across, 0.55 * len(graph.layers)))
+    axis = figure.add_axes((0, 0, 1, 1), xlim=(-wide * across / 2, wide * across / 2), ylim=(0, len(graph.layers)))
+    axis.set_axis_off()
+    where = {n: np.array([wide * x, len(graph.layers) - layer - 0.5]) for n, (x, layer) in places.items()}
+    halves = {node: _draw_node(node, where[node], axis) for node in places}
+    for a, b in graph.edges:
+        down = places[a][1] < places[b][1]
+        arrow = {"arrowstyle": "-|>", "color": BLUE if down else GREY, "linestyle": "-" if down else ":"}
+        bent = {"connectionstyle": f"arc3,rad={0 if down else 0.25}", "shrinkA": 0, "shrinkB": 1}
+        # From edge to edge of what they are written in.
+        along = where[b] - where[a]
+        begin, end = (along * np.min(halves[n] / np.maximum(np.abs(along), 1e-9)) for n in (a, b))
+        axis.annotate("", where[b] - end, where[a] + begin, arrowprops={**arrow, **bent}, zorder=0)
+    save_figure(figure, path)
+    plt.close(figure)
+
+
+def _draw_node(node: Node, at: Float[np.ndarray, "2"], axis: Axes) -> Float[np.ndarray, "2"]:
+    """Half the width and half the height of its frame, as long as the axes as `at`."""
+    colour = ORANGE if node.learned else BLUE if node.skill else "black"
+    ink, face = ("white", colour) if node.skill else (colour, "white")
+    around = {"boxstyle": "round,pad=0.25", "facecolor": face, "edgecolor": colour if node.learned else face}
+    weight = "bold" if node.skill else "normal"
+    text = axis.text(*at, node.name, color=ink, size=9, weight=weight, ha="center", va="center", bbox=around)
+    axis.figure.draw_without_rendering()  # only then has the frame its size
+    drawn = text.get_bbox_patch().get_window_extent().transformed(axis.transData.inverted())
+    return np.array([drawn.width, drawn.height]) / 2

@@ -66,6 +66,10 @@ class Witness(Protocol):
         """A part of a picture that a skill looked at while it moved."""
         ...
 
+    def on_seen(self, state: State) -> None:
+        """What is believed while something is carried, which moves with the hand."""
+        ...
+
     def on_timing(self, timing: Timing) -> None:
         """When a target was asked for and sent, and how old the pictures were that were looked at before it."""
         ...
@@ -143,6 +147,8 @@ class DeployedWorld:
             state = self._live(self._live_state)
         else:
             state = self.belief.state(features)
+            if self._witness and self.belief.in_hand:
+                self._witness.on_seen(state)
         return ArmObservation(
             time=measured.time,
             state=state,

@@ -9,12 +9,13 @@ import numpy as np
 import sapien
 from sapien import physx, render
 
+from resync_robot.core.solids import Cuboid, box_shapes
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.sim_training.physics import parts, textures
 from resync_robot.sim_training.physics.solver import Solver, solver_of
 
-Shapes = Sequence[parts.Convex | parts.Cuboid]
+Shapes = Sequence[parts.Convex | Cuboid]
 
 
 def material(friction: float, solver: Solver, stiffness: float | None = None) -> physx.PhysxMaterial:
@@ -58,7 +59,7 @@ def attach_shapes(
 ) -> None:
     rubbed = material(friction, solver)
     for shape in shapes:
-        if isinstance(shape, parts.Cuboid):
+        if isinstance(shape, Cuboid):
             solid = physx.PhysxCollisionShapeBox(shape.half.astype(np.float32), rubbed)
             solid.local_pose = sapien.Pose(shape.centre)
         else:
@@ -73,7 +74,7 @@ def attach_shapes(
 def attach_looks(look: render.RenderBodyComponent, shapes: Shapes, paint: render.RenderMaterial) -> None:
     """Let a body look like these shapes."""
     for shape in shapes:
-        if isinstance(shape, parts.Cuboid):
+        if isinstance(shape, Cuboid):
             drawn = render.RenderShapeBox(shape.half.astype(np.float32), paint)
             drawn.local_pose = sapien.Pose(shape.centre)
         else:
@@ -86,7 +87,7 @@ def attach_looks(look: render.RenderBodyComponent, shapes: Shapes, paint: render
 
 
 def add_table(scene: sapien.Scene, physics: Mapping[str, Any], rendered: bool) -> None:
-    slab = parts.Cuboid(np.array([0.35, -0.05, -0.02]), np.array([0.75, 0.75, 0.02]))
+    slab = Cuboid(np.array([0.35, -0.05, -0.02]), np.array([0.75, 0.75, 0.02]))
     colour = physics.get("table_colour", (0.75, 0.68, 0.58))
     paint = visual(colour, surface=physics.get("surfaces", {}).get("table")) if rendered else None
     add_static(scene, "table", sapien.Pose(), [slab], 0.4, solver_of(physics), paint)
@@ -113,7 +114,7 @@ def add_static(
 
 
 def add_box(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:
-    shapes = parts.box_shapes(*task.initial.get(obj, "inner_x", "inner_y", "wall_z", "wall_thickness"))
+    shapes = box_shapes(*task.initial.get(obj, "inner_x", "inner_y", "wall_z", "wall_thickness"))
     pose = pose_of(task.initial[obj])
     colour = task.physics.get("box_colour", (0.35, 0.37, 0.40))
     paint = visual(colour, surface=task.physics.get("surfaces", {}).get("box")) if rendered else None

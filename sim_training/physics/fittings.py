@@ -1,4 +1,4 @@
-"""Lids and drawers in a SAPIEN scene: of which shapes they are made, and how a drawer slides."""
+"""Lids and drawers in a SAPIEN scene, and how a drawer slides."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import sapien
 from sapien import physx, render
 
 from resync_robot.core import spatial
-from resync_robot.core.fittings import DRAWER, LID, Drawer, Lid
+from resync_robot.core.fittings import DRAWER
+from resync_robot.core.solids import cabinet_shapes, drawer_shapes, lid_shapes
 from resync_robot.core.symbols import Object
 from resync_robot.core.task import Task
 from resync_robot.sim_training.physics.bodies import (
@@ -20,57 +21,11 @@ from resync_robot.sim_training.physics.bodies import (
     entity_at,
     visual,
 )
-from resync_robot.sim_training.physics.parts import TABLE_TOP, Cuboid
+from resync_robot.sim_training.physics.parts import TABLE_TOP
 from resync_robot.sim_training.physics.solver import solver_of
-
-Size = Sequence[float] | np.ndarray
 
 RUB = 2000.0
 """N s/m; below its stiction a drawer creeps so slowly that nobody sees it: 1 mm/s at 2 N."""
-
-
-def lid_shapes(size: Size, lid: Lid = LID) -> list[Cuboid]:
-    """The plate, with its full extents `size`, and the knob; the origin is the middle of the plate."""
-    plate, knob = np.asarray(size) / 2, np.array(lid.knob) / 2
-    return [Cuboid(np.zeros(3), plate), Cuboid(np.array([0.0, 0.0, plate[2] + knob[2]]), knob)]
-
-
-def drawer_shapes(size: Size, drawer: Drawer = DRAWER) -> tuple[list[Cuboid], list[Cuboid]]:
-    """A front of full extents `size` with the tray behind it, and the handle. The origin is the middle of the front, x
-    the way it is pulled."""
-    thick, _, high = size
-    deep, wide, tall = drawer.tray
-    wall, table = drawer.wall, -drawer.lift - high / 2
-    back, floor = -thick / 2, table + drawer.floor
-    rear, half = back - deep, wide / 2
-    tray = [
-        Cuboid(np.zeros(3), np.asarray(size) / 2),
-        _slab((rear, back), (-half - wall, half + wall), (-high / 2, floor)),
-        _slab((rear - wall, rear), (-half - wall, half + wall), (-high / 2, floor + tall)),
-        *(_slab((rear, back), y, (floor, floor + tall)) for y in ((-half - wall, -half), (half, half + wall))),
-    ]
-    (x, y, z), out = drawer.bar, thick / 2 + drawer.reach - drawer.bar[0]
-    heights = (table + drawer.bar_z - z / 2, table + drawer.bar_z + z / 2)
-    posts = [_slab((thick / 2, out), ends, heights) for ends in ((-y / 2, x - y / 2), (y / 2 - x, y / 2))]
-    return tray, [_slab((out, out + x), (-y / 2, y / 2), heights), *posts]
-
-
-def _slab(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Cuboid:
-    """Between these ends, m."""
-    ends = np.array([x, y, z], dtype=np.float64)
-    return Cuboid(ends.mean(1), (ends[:, 1] - ends[:, 0]) / 2)
-
-
-def cabinet_shapes(drawer: Drawer = DRAWER) -> list[Cuboid]:
-    """Two sides, a back and a top; the origin is the middle of its face on the table, x out of it."""
-    deep, wide, high = drawer.cabinet
-    t = drawer.wall
-    sides = [
-        Cuboid(np.array([-deep / 2, s * (wide - t) / 2, high / 2]), np.array([deep, t, high]) / 2) for s in (-1, 1)
-    ]
-    back = Cuboid(np.array([-deep + t / 2, 0.0, high / 2]), np.array([t, wide, high]) / 2)
-    top = Cuboid(np.array([-deep / 2, 0.0, high - t / 2]), np.array([deep, wide, t]) / 2)
-    return [*sides, back, top]
 
 
 def add_lid(scene: sapien.Scene, obj: Object, task: Task, rendered: bool) -> sapien.Entity:

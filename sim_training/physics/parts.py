@@ -1,4 +1,4 @@
-"""Shapes of the things in the scene: studded blocks with real sockets, the open box, the table.
+"""Shapes of studded blocks with real sockets, and how to draw a convex solid. `core.solids` has what is made of boxes.
 
 All vertices in m, in the frame of the part: a block's origin is the centre of its body, z out of the stud.
 """
@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from resync_robot.core.solids import Cuboid
+
 STUD_WIDTH = 0.024
 STUD_HEIGHT = 0.012
 CLEARANCE = 0.0015
@@ -16,7 +18,6 @@ CLEARANCE = 0.0015
 CHAMFER = (0.003, 0.0052)
 """Width and height of the 60-degree lead-in on stud and socket; 45 degrees jams against friction."""
 SOCKET_DEPTH = 0.013
-BOX_FLOOR = 0.005
 TABLE_TOP = 0.0
 
 
@@ -25,14 +26,6 @@ class Convex:
     """A convex solid by its (n, 3) vertices."""
 
     vertices: np.ndarray
-
-
-@dataclass(frozen=True)
-class Cuboid:
-    """A box by its (3,) centre and (3,) half extents."""
-
-    centre: np.ndarray
-    half: np.ndarray
 
 
 def block_shapes(size: tuple[float, float, float]) -> list[Convex | Cuboid]:
@@ -59,16 +52,6 @@ def _socket_walls(half_x: float, half_y: float, bottom: float, top: float) -> li
         walls.append(np.array([(sign * x, y, z) for z, h in levels for x in (h, half_x) for y in (-half_y, half_y)]))
         walls.append(np.array([(x, sign * y, z) for z, h in levels for y in (h, half_y) for x in (-mouth, mouth)]))
     return walls
-
-
-def box_shapes(inner_x: float, inner_y: float, wall_z: float, wall_thickness: float) -> list[Cuboid]:
-    """Floor and four walls of an open box; the origin is the middle of the floor's upper face."""
-    t, half_x, half_y = wall_thickness, inner_x / 2, inner_y / 2
-    middle, half_height = (wall_z - BOX_FLOOR) / 2, (wall_z + BOX_FLOOR) / 2
-    walls = [
-        Cuboid(np.array([s * (half_x + t / 2), 0, middle]), np.array([t / 2, half_y + t, half_height])) for s in (-1, 1)
-    ] + [Cuboid(np.array([0, s * (half_y + t / 2), middle]), np.array([half_x, t / 2, half_height])) for s in (-1, 1)]
-    return [Cuboid(np.array([0, 0, -BOX_FLOOR / 2]), np.array([half_x, half_y, BOX_FLOOR / 2])), *walls]
 
 
 def hull_triangles(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

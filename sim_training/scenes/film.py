@@ -19,18 +19,18 @@ from sapien import render
 
 from resync_robot.core import fittings, spatial
 from resync_robot.core.recorded_rig import RecordedRig
+from resync_robot.core.solids import BOX_FLOOR, Cuboid, box_shapes, cabinet_shapes, drawer_shapes, lid_shapes
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, DRAWER, LID
 from resync_robot.hardware.clearance import link_segments
 from resync_robot.sim_training.physics import parts
 from resync_robot.sim_training.physics.bodies import attach_looks
-from resync_robot.sim_training.physics.fittings import cabinet_shapes, drawer_shapes, lid_shapes
 from resync_robot.sim_training.physics.randomise import BLOCK_HUES, FITTING_HUES
 from resync_robot.sim_training.physics.scene import colour_of, require_renderer
 
 STEEL, DARK, BLUE = (0.70, 0.72, 0.75), (0.055, 0.06, 0.07), (0.16, 0.34, 0.56)
 BOX_COLOUR, TABLE, FLOOR = (0.42, 0.44, 0.47), (0.66, 0.60, 0.52), (0.30, 0.32, 0.35)
-TABLE_HALF, TABLE_MIDDLE = np.array([0.62, 0.62, 0.02]), np.array([0.32, 0.0, -0.02 - parts.BOX_FLOOR])
+TABLE_HALF, TABLE_MIDDLE = np.array([0.62, 0.62, 0.02]), np.array([0.32, 0.0, -0.02 - BOX_FLOOR])
 SAME_SIZE = 5e-4
 """m within which an object keeps its shape; a belief changes a little with every scan."""
 
@@ -81,8 +81,8 @@ class FilmScene:
         self._arm = [(frame, self._tube(begin, end, radius)) for frame, begin, end, radius in self._links]
         self._hand, self._fingers = self._add_hand(), [self._add_finger(side) for side in (1.0, -1.0)]
         self._things: dict[Object, tuple[np.ndarray, list[sapien.Entity]]] = {}
-        self._add("table", [parts.Cuboid(TABLE_MIDDLE, TABLE_HALF)], TABLE, 0.85)
-        floor = parts.Cuboid(np.array([0.0, 0.0, -0.8]), np.array([12.0, 12.0, 0.02]))
+        self._add("table", [Cuboid(TABLE_MIDDLE, TABLE_HALF)], TABLE, 0.85)
+        floor = Cuboid(np.array([0.0, 0.0, -0.8]), np.array([12.0, 12.0, 0.02]))
         self._add("floor", [floor], FLOOR, 0.95)
         self._light()
         self._size, self._finer = (width, height), finer
@@ -135,7 +135,7 @@ class FilmScene:
     def _add_thing(self, obj: Object, size: np.ndarray) -> list[sapien.Entity]:
         """All that moves as one; of a drawer first what slides, then its cabinet."""
         if obj.type == BOX:
-            return [self._add(obj.name, list(parts.box_shapes(*size)), BOX_COLOUR, 0.7)]
+            return [self._add(obj.name, list(box_shapes(*size)), BOX_COLOUR, 0.7)]
         if obj.type == BLOCK:
             return [self._add(obj.name, parts.block_shapes(tuple(size)), self._colour(obj.name), 0.35)]
         if obj.type == LID:
@@ -182,12 +182,10 @@ class FilmScene:
     def _add_hand(self) -> sapien.Entity:
         """The gripper's body, and the camera that it carries."""
         look = render.RenderBodyComponent()
-        palm = [parts.Cuboid(np.array([0, 0, 0.05]), np.array([0.0375, 0.06, 0.05]))]
-        arm = [parts.Cuboid(np.array([0.06, 0, 0.045]), np.array([0.05, 0.015, 0.006]))]
+        palm = [Cuboid(np.array([0, 0, 0.05]), np.array([0.0375, 0.06, 0.05]))]
+        arm = [Cuboid(np.array([0.06, 0, 0.045]), np.array([0.05, 0.015, 0.006]))]
         attach_looks(look, [*palm, *arm], _paint(DARK, 0.5))
-        attach_looks(
-            look, [parts.Cuboid(np.array([0.115, 0, 0.035]), np.array([0.0125, 0.045, 0.0125]))], _paint(STEEL, 0.4)
-        )
+        attach_looks(look, [Cuboid(np.array([0.115, 0, 0.035]), np.array([0.0125, 0.045, 0.0125]))], _paint(STEEL, 0.4))
         return self._entity("hand", look)
 
     def _add_finger(self, side: float) -> sapien.Entity:
@@ -196,7 +194,7 @@ class FilmScene:
         thick, half = rig.finger_thickness, (rig.tip_offset - 0.09) / 4
         for z, size, colour in ((rig.tip_offset - half, 1.0, DARK), (rig.tip_offset - 3 * half, 0.8, STEEL)):
             middle = np.array([0.0, side * thick * (1.5 - size / 2), z])
-            shape = parts.Cuboid(middle, np.array([size * rig.finger_width / 2, size * thick / 2, half]))
+            shape = Cuboid(middle, np.array([size * rig.finger_width / 2, size * thick / 2, half]))
             attach_looks(look, [shape], _paint(colour, 0.5))
         return self._entity("finger", look)
 

@@ -1,4 +1,4 @@
-"""Learning curves and pictures of demonstrations become pictures that tell what they show."""
+"""Learning curves, models and pictures of demonstrations become pictures that tell what they show."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from resync_robot.curriculum.plots import contact_sheet, draw_distillation, draw_learning_curve
+from resync_robot.curriculum.plots import contact_sheet, draw_distillation, draw_learning_curve, draw_model
+from resync_robot.planning.model_graph import graph_of
+from resync_robot.sim_training.domains.cornered_insertion_s.domain import INSERT, PICK
 
 
 def test_the_curve_is_drawn_where_success_went(tmp_path: Path) -> None:
@@ -57,3 +59,20 @@ def test_a_contact_sheet_has_every_picture_and_names_beside_them() -> None:
     above, left = sheet[:40], sheet[40:, :56]
     assert (above < 100).any() and (left < 120).any(), "words"
     assert contact_sheet(shown[:0], ("front", "wrist")).shape[0] == 40
+
+
+def test_of_a_model_what_was_learned_is_orange_and_what_comes_first_stands_above(tmp_path: Path) -> None:
+    def rows(learned: set[str]) -> tuple[list[int], list[int]]:
+        """Where the boxes of given skills are, and of learned ones, from above to below."""
+        draw_model(graph_of((PICK, INSERT), learned), tmp_path / "model.png")
+        picture = cv2.imread(str(tmp_path / "model.png")).astype(int)
+        blue = (picture[..., 0] > 150) & (picture[..., 2] < 80)
+        orange = (picture[..., 2] > 180) & (picture[..., 0] < 80)
+        # Boxes are wide, arrows are not.
+        return tuple(np.flatnonzero(np.diff((found.sum(1) > 20).astype(int)) == 1).tolist() for found in (blue, orange))
+
+    given, learned = rows(set())
+    assert len(given) == 2 and not learned
+    assert rows({"Insert"}) == (given[:1], given[1:])
+    assert rows({"Pick"}) == (given[1:], given[:1])
+    assert rows({"Holding"})[0] == given

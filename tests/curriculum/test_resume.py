@@ -128,7 +128,7 @@ def test_the_files_of_a_real_run_are_these_and_so_is_their_damage(
     command = ["train-sim", "--preset", "smoke", "--skills", "state", "--out", str(real)]
     assert subprocess.run([sys.executable, "-m", "resync_robot", *command], stderr=subprocess.DEVNULL).returncode == 0
     names = {str(n) for n in files_of(real) if n.parts[0] != "library"}
-    assert names == {"config.json", f"{STAGE}/recovery.png", *STAGE_FILES, *MORE_DREAMS}
+    assert names == {"config.json", f"{STAGE}/model.png", f"{STAGE}/recovery.png", *STAGE_FILES, *MORE_DREAMS}
     # Made anew whatever becomes of them.
     (real / STAGE / "recovery.png").write_bytes(b"")
     (real / "library" / "library.json").unlink()

@@ -22,6 +22,7 @@ class Told:
     on_picture: Callable[..., None] = silent
     on_scan: Callable[..., None] = silent
     on_look: Callable[..., None] = silent
+    on_seen: Callable[..., None] = silent
     on_timing: Callable[..., None] = silent
     on_doubt: Callable[..., None] = silent
     on_unsettled: Callable[..., None] = silent

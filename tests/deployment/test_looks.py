@@ -87,6 +87,26 @@ def test_what_is_certain_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> N
     assert len(certain.eye.asked) == ROUND and not certain.doubts
 
 
+def test_what_the_hand_carries_is_told_of_wherever_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = looking(monkeypatch).world
+    world.perceive()
+    told: list[State] = []
+    world._witness = Told(on_seen=told.append)
+    measured = replace(world._measure(), opening=0.060)
+    monkeypatch.setattr(world, "_measure", lambda: measured)
+    world.observe()
+    assert not told, "nothing is carried yet"
+    world.belief.attach(scenes.B0, RIG.robot_features(measured.q, measured.opening))
+    tips = []
+    for turned in (0.0, 0.3):
+        measured = replace(measured, q=measured.q + [turned, 0, 0, 0, 0, 0])
+        tips.append(RIG.tip_pose(measured.q))
+        world.observe()
+    before, after = (spatial.pose_from_features(state[scenes.B0][:7]) for state in told)
+    np.testing.assert_allclose(spatial.inverse(tips[0]) @ before, spatial.inverse(tips[1]) @ after, atol=1e-9)
+    assert np.linalg.norm(after[:3, 3] - before[:3, 3]) > 0.05
+
+
 def test_an_atom_in_doubt_is_looked_at_again_and_then_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     unsure = looking(monkeypatch, 0.0003)
     state = unsure.world.perceive()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from resync_robot.core.solids import BOX_FLOOR
 from resync_robot.perception.catalogue import Catalogue
 from resync_robot.sim_training.domains.cornered_insertion_s.layouts import sample_block_sizes, sample_box
 from resync_robot.sim_training.physics import parts
@@ -17,7 +18,7 @@ def test_the_simulated_things_are_those_of_the_catalogue() -> None:
     catalogue, rng = Catalogue(), np.random.default_rng(0)
     assert dict(catalogue.hues) == BLOCK_HUES
     assert (catalogue.stud_width, catalogue.stud_height) == (parts.STUD_WIDTH, parts.STUD_HEIGHT)
-    assert (catalogue.floor_thickness, catalogue.table_z) == (parts.BOX_FLOOR, parts.TABLE_TOP)
+    assert (catalogue.floor_thickness, catalogue.table_z) == (BOX_FLOOR, parts.TABLE_TOP)
     for _ in range(100):
         box = sample_box(rng)
         assert catalogue.box_inner[0] < min(box[7:9])

@@ -67,6 +67,7 @@ def _model_tab() -> Iterator[rrb.Container]:
     yield rrb.Vertical(
         rrb.GraphView(origin="model/graph", name="What makes what true"),
         rrb.TextDocumentView(origin="model/table", name="Model"),
+        row_shares=[3, 2],
         name="Model",
     )
 

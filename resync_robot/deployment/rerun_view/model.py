@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import rerun as rr
 
 from resync_robot.core.damage import check_shape
 from resync_robot.core.episode import Episode
 from resync_robot.core.errors import EpisodeError, PlanningError
-from resync_robot.core.symbols import Operator
+from resync_robot.planning.model_graph import Node, graph_of
 from resync_robot.planning.model_table import model_table
 from resync_robot.planning.pddl import domain_from_pddl
 
-SKILL, LEARNED_SKILL = (90, 120, 200), (240, 150, 40)
-ATOM, LEARNED_ATOM = (120, 125, 135), (250, 200, 80)
-"""Colours: what was given is cold, what was learned is warm."""
+COLOURS = {
+    (True, False): (90, 120, 200),
+    (True, True): (240, 150, 40),
+    (False, False): (120, 125, 135),
+    (False, True): (250, 200, 80),
+}
+"""Of skills and of predicates, not learned and learned: what was given is cold, what was learned is warm."""
+LETTER, GAP, LAYER = 7.5, 40.0, 70.0
+"""px in the viewer: the width of a letter, the least gap between nodes of a layer, and from layer to layer."""
 
 
 def draw_model(episode: Episode, recording: rr.RecordingStream) -> None:
@@ -34,33 +38,23 @@ def draw_model(episode: Episode, recording: rr.RecordingStream) -> None:
     learned = episode.meta.model["learned"]
     table = rr.TextDocument(model_table(operators, learned), media_type=rr.MediaType.MARKDOWN)
     recording.log("model/table", table, static=True)
-    nodes, edges = graph_of(operators, set(learned))
-    if nodes:
+    graph = graph_of(operators, learned)
+    if graph.edges:
+        places = graph.places()
+        wide = LETTER * max(len(node.name) for node in places) + GAP
         recording.log(
             "model/graph",
             rr.GraphNodes(
-                node_ids=list(nodes), labels=[n.partition(":")[2] for n in nodes], colors=list(nodes.values())
+                node_ids=[_identity(node) for node in places],
+                positions=[(wide * x, LAYER * layer) for x, layer in places.values()],
+                labels=[node.name for node in places],
+                colors=[COLOURS[node.skill, node.learned] for node in places],
             ),
-            rr.GraphEdges(edges=edges, graph_type="directed"),
+            rr.GraphEdges(edges=[(_identity(a), _identity(b)) for a, b in graph.edges], graph_type="directed"),
             static=True,
         )
 
 
-def graph_of(
-    operators: tuple[Operator, ...], learned: set[str]
-) -> tuple[Mapping[str, tuple[int, int, int]], list[tuple[str, str]]]:
-    """Colours of the nodes, and edges from what is needed to the skill, and from the skill to what it makes true.
-
-    A predicate is one node, whoever it is about: the table says about whom.
-    """
-    nodes: dict[str, tuple[int, int, int]] = {}
-    edges: dict[tuple[str, str], None] = {}
-    for operator in operators:
-        skill = f"skill:{operator.name}"
-        nodes[skill] = LEARNED_SKILL if operator.name in learned else SKILL
-        for atoms, inwards in ((operator.preconditions, True), (operator.add, False)):
-            for name in sorted({a.predicate.name for a in atoms}):
-                atom = f"atom:{name}"
-                nodes[atom] = LEARNED_ATOM if name in learned else ATOM
-                edges[(atom, skill) if inwards else (skill, atom)] = None
-    return nodes, list(edges)
+def _identity(node: Node) -> str:
+    """A skill may be called as a predicate is."""
+    return f"{'skill' if node.skill else 'predicate'}:{node.name}"

@@ -11,12 +11,12 @@ import numpy as np
 from resync_robot.core import spatial
 from resync_robot.core.errors import TrainingError
 from resync_robot.core.rig import load_rig
+from resync_robot.core.solids import BOX_FLOOR
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Atoms, Object
 from resync_robot.core.task import Task
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.sim_training.domains.cornered_insertion_s.corner import at_walls, block_features
-from resync_robot.sim_training.physics.parts import BOX_FLOOR
 from resync_robot.sim_training.physics.randomise import USUAL, Ranges, draw_physics
 
 R, THE_BOX = ROBOT("r"), BOX("box")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from resync_robot.core.episode_writer import EpisodeWriter
 from resync_robot.core.errors import EpisodeError
 from resync_robot.core.vocabulary import BLOCK, ROBOT, TYPES
 from resync_robot.deployment.rerun_view.drawing import save_drawing
-from resync_robot.deployment.rerun_view.model import ATOM, LEARNED_ATOM, SKILL, graph_of
 from resync_robot.planning.pddl import domain_to_pddl
 from resync_robot.sim_training.domains.cornered_insertion_s.domain import HAND_EMPTY, HOLDING, INSERT, ON, PICK
 
@@ -32,18 +32,6 @@ def record(path: Path, model: dict[str, Any]) -> Path:
     return path
 
 
-def test_edges_lead_from_what_is_needed_over_the_skill_to_what_it_makes_true() -> None:
-    nodes, edges = graph_of((PICK, INSERT), {"Holding"})
-    assert nodes["skill:Pick"] == SKILL and nodes["atom:Holding"] == LEARNED_ATOM and nodes["atom:On"] == ATOM
-    assert set(edges) == {
-        ("atom:HandEmpty", "skill:Pick"),
-        ("skill:Pick", "atom:Holding"),
-        ("atom:Holding", "skill:Insert"),
-        ("skill:Insert", "atom:On"),
-        ("skill:Insert", "atom:HandEmpty"),
-    }
-
-
 def test_a_recording_shows_the_model_that_it_was_planned_with(tmp_path: Path) -> None:
     path = record(tmp_path / "e.mcap", {"pddl": PDDL, "learned": ["On"]})
     assert read_episode(path).meta.model["learned"] == ["On"]
@@ -51,6 +39,16 @@ def test_a_recording_shows_the_model_that_it_was_planned_with(tmp_path: Path) ->
     view = rr.dataframe.load_recording(tmp_path / "e.rrd").view(index="time", contents="model/**")
     told = str(view.select_static().read_all().to_pydict())
     assert "Pick" in told and "**On**(b0, b1)" in told
+
+
+def test_no_node_of_the_graph_lies_upon_another(tmp_path: Path) -> None:
+    save_drawing(read_episode(record(tmp_path / "e.mcap", {"pddl": PDDL, "learned": ["On"]})), tmp_path / "e.rrd")
+    view = rr.dataframe.load_recording(tmp_path / "e.rrd").view(index="time", contents="model/graph")
+    told = view.select_static().read_all().to_pydict()
+    (names,), (places,) = (next(v for k, v in told.items() if word in k) for word in ("labels", "positions"))
+    assert sorted(names) == ["HandEmpty", "Holding", "Insert", "On", "Pick"]
+    for (name, (x, y)), (other, (x2, y2)) in itertools.combinations(zip(names, places, strict=True), 2):
+        assert abs(y - y2) > 40 or abs(x - x2) > 7 * (len(name) + len(other)) / 2
 
 
 def test_one_without_a_model_is_drawn_as_before(tmp_path: Path) -> None:

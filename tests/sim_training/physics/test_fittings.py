@@ -9,8 +9,6 @@ import pytest
 
 from resync_robot.core.fittings import DRAWER, LID
 from resync_robot.core.rig import load_rig
-from resync_robot.sim_training.physics.fittings import cabinet_shapes, drawer_shapes, lid_shapes
-from resync_robot.sim_training.physics.parts import Cuboid
 from resync_robot.sim_training.physics.world import SimWorld
 from tests import furnished_scenes as furnished
 from tests import scenes
@@ -20,40 +18,6 @@ from tests.sim_training.physics.test_world import send
 
 RIG = load_rig()
 BLOCKS = {"b0": (0.0, 0.0)}
-
-
-def within(shapes: list[Cuboid], points: np.ndarray) -> np.ndarray:
-    """(n,) is each point in some solid?"""
-    return np.any([np.all(np.abs(points - s.centre) <= s.half + 1e-9, axis=1) for s in shapes], axis=0)
-
-
-def ends(shapes: list[Cuboid]) -> np.ndarray:
-    """(2, 3) of the box around them."""
-    return np.array([np.min([s.centre - s.half for s in shapes], 0), np.max([s.centre + s.half for s in shapes], 0)])
-
-
-def test_a_lid_is_as_large_as_it_says_and_its_knob_stands_on_it() -> None:
-    low, high = ends(lid_shapes(LID.size))
-    np.testing.assert_allclose(high - low, [*LID.size[:2], LID.size[2] + LID.knob[2]])
-    assert low[2] == -LID.size[2] / 2
-
-
-def test_a_tray_is_hollow_and_passes_through_the_face_of_its_cabinet() -> None:
-    tray, handle = drawer_shapes(DRAWER.front)
-    deep, wide, tall = DRAWER.tray
-    floor = DRAWER.floor - DRAWER.lift - DRAWER.front[2] / 2
-    rng = np.random.default_rng(0)
-    inner = rng.uniform([-deep, -wide / 2, floor], [-DRAWER.front[0] / 2, wide / 2, floor + tall], (200, 3))
-    inner[:, 0] = np.clip(inner[:, 0], -deep, -DRAWER.front[0] / 2 - 1e-4)
-    assert not within([*tray, *handle], inner + [0, 0, 1e-6]).any()
-    closed = ends([s for s in tray if s.half[0] != DRAWER.front[0] / 2])
-    cabinet = cabinet_shapes()
-    # In the frame of the face, on the table.
-    moved = [Cuboid(s.centre + [DRAWER.front[0] / 2, 0, DRAWER.lift + DRAWER.front[2] / 2], s.half) for s in tray[1:]]
-    assert closed[0, 0] + DRAWER.front[0] / 2 > -DRAWER.cabinet[0]
-    for part in moved:
-        corners = part.centre + part.half * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        assert not within(cabinet, corners).any()
 
 
 def test_a_hand_on_the_handle_passes_the_cabinet() -> None:
