@@ -21,7 +21,7 @@ from resync_robot.planning.execute import Model
 from resync_robot.planning.search import ground_all
 from resync_robot.planning.skill_run import looks, run_skill
 
-LONGEST = 4
+LONGEST = 6
 """Skills in a wandering at most."""
 
 

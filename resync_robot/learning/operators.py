@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
 from jaxtyping import Bool, Int8
+from scipy.special import betainc
 
-from resync_robot.core.symbols import Atom, Atoms, Operator, Predicate, Term, Variable
+from resync_robot.core.symbols import Atom, Atoms, Operator, Predicate, Term, Type, Variable
 from resync_robot.learning.dataset import Dataset, Step
 
 
@@ -54,8 +56,9 @@ class Column:
     stage: np.ndarray
 
 
-MIN_SWEPT, USUALLY = 5, 0.5
-"""A skill ends something of every object where so many successes could show it, and more than this share did."""
+SURE = 0.9
+"""A skill usually does something where it is that likely, after the successes that could show it, that it does so in
+more than half of them: three of three are enough, and so are five of six."""
 MIN_EXPLAINED = 5
 MAX_EXCEPTIONS = 0.01
 """A condition accounts for failures when it was missing in so many, and in at most this share of the successes."""
@@ -136,13 +139,17 @@ def swept(
         for step in run.steps:
             steps[step.skill].append(step)
     by_predicate = [{p: _of(atoms, p) for p in predicates} for atoms in truth]
+    several = {t for run in dataset.runs for t, n in Counter(o.type for o in run.objects).items() if n > 1}
     found: dict[str, Atoms] = {}
     for skill, variables in parameters.items():
-        atoms = [a for p in predicates for a in _patterns(p, variables)]
+        # Of a type of which there is only ever one object, that one is named.
+        others = several | {t for p in predicates for t in p.types if t not in {v.type for v in variables}}
+        atoms = [a for p in predicates for a in _patterns(p, variables, others)]
         added = [
             a for p in predicates for a in lifted_atoms(p, variables) if _adds(a, variables, steps[skill], by_predicate)
         ]
-        found[skill] = frozenset(a for a in atoms if _ends(a, added, variables, steps[skill], by_predicate))
+        ended = [a for a in atoms if _ends(a, added, variables, steps[skill], by_predicate)]
+        found[skill] = frozenset(a for a in ended if not any(_says_more(b, a, variables) for b in ended))
     return found
 
 
@@ -150,10 +157,17 @@ def _of(atoms: Atoms, predicate: Predicate) -> Atoms:
     return frozenset(a for a in atoms if a.predicate == predicate)
 
 
-def _patterns(predicate: Predicate, parameters: Sequence[Variable]) -> list[Atom]:
-    """Every way to apply the predicate to at least one parameter and at least one object that is none."""
+def _says_more(general: Atom, special: Atom, parameters: Sequence[Variable]) -> bool:
+    """Whether ending all of the one ends all of the other as well."""
+    pairs = list(zip(general.args, special.args, strict=True)) if general.predicate == special.predicate else []
+    return general != special and bool(pairs) and all(a == b or a not in parameters for a, b in pairs)
+
+
+def _patterns(predicate: Predicate, parameters: Sequence[Variable], others: Collection[Type]) -> list[Atom]:
+    """Every way to apply the predicate to at least one parameter and at least one object of `others` that is none."""
     free = [Variable(f"?any{i}", t) for i, t in enumerate(predicate.types)]
-    ways = product(*([f, *(v for v in parameters if v.type == f.type)] for f in free))
+    named = [[v for v in parameters if v.type == f.type] for f in free]
+    ways = product(*([*([f] if f.type in others else []), *n] for f, n in zip(free, named, strict=True)))
     chosen = [w for w in ways if any(t in free for t in w) and any(t not in free for t in w)]
     return [predicate(*w) for w in chosen if len(set(w)) == len(w)]
 
@@ -164,13 +178,13 @@ def _adds(
     steps: Sequence[Step],
     truth: Sequence[Mapping[Predicate, Atoms]],
 ) -> bool:
-    """Whether most successes bring it about; of an operator it is added after anything is deleted."""
+    """Whether successes usually bring it about; of an operator it is added after anything is deleted."""
     became = []
     for step in steps:
         ground = atom.substitute(dict(zip(parameters, step.objects, strict=True)))
         if ground not in truth[step.before][atom.predicate]:
             became.append(ground in truth[step.after][atom.predicate])
-    return bool(len(became) >= MIN_SWEPT and np.mean(became) > USUALLY)
+    return _usually(became)
 
 
 def _ends(
@@ -180,8 +194,8 @@ def _ends(
     steps: Sequence[Step],
     truth: Sequence[Mapping[Predicate, Atoms]],
 ) -> bool:
-    """Whether most successes leave nothing of it: of other objects, and of those that the skill names neither, but for
-    what it adds itself."""
+    """Whether successes usually leave nothing of it: of other objects, and of those that the skill names neither, but
+    for what it adds itself."""
     of_others, of_named = [], []
     for step in steps:
         binding = dict(zip(parameters, step.objects, strict=True))
@@ -195,9 +209,14 @@ def _ends(
             of_others.append(not any(a in then for a in others))
         if named:
             of_named.append(not any(a in then for a in named))
-    enough = len(of_others) >= MIN_SWEPT and np.mean(of_others) > USUALLY
-    # A handful is no evidence here either: one punch at a block that was held all along says nothing of others.
-    return bool(enough and (len(of_named) < MIN_SWEPT or np.mean(of_named) > USUALLY))
+    # One punch at a block that was held all along says nothing of others.
+    return _usually(of_others) and not _usually([not ended for ended in of_named])
+
+
+def _usually(shown: Sequence[bool]) -> bool:
+    """Whether a share that gave these draws is above one half, by Bayes' rule with a flat prior."""
+    yes = sum(shown)
+    return float(betainc(len(shown) - yes + 1, yes + 1, 0.5)) > SURE
 
 
 def explained_failures(dataset: Dataset, columns: Sequence[Evidence], learned: Collection[Predicate] = ()) -> set[Step]:

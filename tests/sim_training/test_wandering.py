@@ -59,5 +59,6 @@ def test_it_shows_that_a_hand_is_ready_for_one_block_at_a_time() -> None:
     dataset = merged_dataset([told], (), signatures)
     truth = [MODEL.abstraction.true_atoms(dataset.state_at(m)) for m in range(len(dataset.moments))]
     found = swept(dataset, truth, DOMAIN.predicates, {o.name: o.parameters for o in DOMAIN.operators})
-    # And that it lets go of what it holds, to grasp something.
-    assert {str(a) for a in found["ReachToGrasp"]} == {"ReadyGrasp(?r, ?any1)", "Holding(?r, ?any1)"}
+    # And that it lets go of what it holds, to grasp something, and so is not ready to place it.
+    ended = {"ReadyGrasp(?r, ?any1)", "Holding(?r, ?any1)", "ReadyPlace(?r, ?any1, ?any2)"}
+    assert {str(a) for a in found["ReachToGrasp"]} == ended
