@@ -109,15 +109,16 @@ def recover(
 
 
 def _as_sure_as_needed(known: Known, stage: Stage, mined: Mined, record: Record, trials: range, workers: int) -> Record:
-    """The record with the least probability of beta_N at which the recovery is done and has mended its failure most
-    often, by trials in the same fresh tasks."""
+    """The record with the probability of beta_N at which the recovery is done and has mended its failure most often, by
+    trials in the same fresh tasks. Where these do not tell two apart it is the higher one: to be taken for done wrongly
+    costs more than a moment more does, and a few trials seldom show it."""
     worth: dict[float, int] = {}
     for sure in SURE:
         one = known.with_recovery(stage.recovery, Record({**record.meta, "sure": sure}, record.tensors))
         jobs = [_Check(stage, mined.explanation, seed) for seed in trials]
         results = [r for r in parallel_map(_check, jobs, one.open, workers) if r is not None]
         worth[sure] = sum(done and mended is not None for done, mended in results)
-    return Record({**record.meta, "sure": max(SURE, key=lambda s: (worth[s], -s))}, record.tensors)
+    return Record({**record.meta, "sure": max(SURE, key=lambda s: (worth[s], s))}, record.tensors)
 
 
 @dataclass(frozen=True)

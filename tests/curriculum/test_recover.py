@@ -22,10 +22,10 @@ DONE, TOO_SOON, TOO_LATE = (True, ("begun", "left")), (True, None), (False, ("be
 @pytest.mark.parametrize(
     ("results", "expected"),
     [
-        ([[DONE] * 3, [DONE] * 3, [DONE] * 3], SURE[0]),
+        ([[DONE] * 3, [DONE] * 3, [DONE] * 3], SURE[2]),
         ([[DONE, TOO_SOON, TOO_SOON], [DONE, DONE, TOO_SOON], [DONE] * 3], SURE[2]),
         ([[DONE, DONE, TOO_SOON], [DONE] * 3, [DONE, TOO_LATE, TOO_LATE]], SURE[1]),
-        ([[None] * 3, [None] * 3, [None] * 3], SURE[0]),
+        ([[None] * 3, [None] * 3, [None] * 3], SURE[2]),
     ],
     ids=["all alike", "said so too soon", "grew worse", "no scene stood"],
 )
