@@ -130,7 +130,7 @@ def draw_distillation(
 def draw_model(graph: ModelGraph, path: Path) -> None:
     """Which skill makes what true for which, from above to below, as PNG: skills framed, what was learned orange.
 
-    What a skill brings back for an earlier one is drawn dashed.
+    What a skill brings back for an earlier one is drawn dotted.
     """
     import matplotlib
 
