@@ -177,6 +177,8 @@ def _drive(
         if not (yield from press_on(hand, goal, DECISION_STEPS, guard)):
             # What was wanted, and what is being thought, is of a block that stood.
             block.carried.fell_back(guard.stood_at)
+            if guard.sank_at is not None:
+                block.sank(guard.sank_at)
             thinking.answer(hand.last.ready, wait=True)
             chunks, astray = Chunks(), True
             continue

@@ -3,7 +3,8 @@
 A scan knows a block to a millimetre, and nothing but the hand moves it: it went along with the hand at most. Pictures
 on the way know it to a few millimetres, but in a world that looks like no other they may take a cornered block for a
 free one. What they cannot be right about is not believed. The policy that knows the exact state then acts on the block
-as it would be had it come along.
+as it would be had it come along. Where the hand then sinks into the place of that block, the block is not there, and
+pictures are right after all.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from resync_robot.core import spatial
 from resync_robot.core.library import Record
 from resync_robot.core.state import State
 from resync_robot.core.symbols import Object
@@ -27,6 +29,8 @@ from resync_robot.policies.state_recovery import how_sure, recovery_nets
 BEYOND = 0.015
 """m by which pictures may put the block, or a wall of its box, further away than the hand can have taken it: rarely are
 they that wrong in worlds like those of training."""
+INSIDE = 0.010
+"""m inside the block's edges from which on tips that sink have not slid off it: where it stands is known as well."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +55,25 @@ class CarriedBlock:
         state: what the scan saw; world frame, m.
         objects: robot, block and box.
         carried: how far the hand can have taken it.
+        elsewhere: the hand has been where it would be by that, so it is not there.
     """
 
     state: State
     objects: tuple[Object, Object, Object]
     carried: Carried = field(init=False)
+    elsewhere: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         z, height = self.state.get(self.objects[1], "z", "size_z")
         self.carried = Carried(z + height / 2 + STUD)
+
+    def sank(self, tip: Float[np.ndarray, "3"]) -> None:
+        """The tips have sunk beneath the block's upper face at (3,), m: beside it, or it is elsewhere."""
+        pose = spatial.pose_from_features(self.state[self.objects[1]][:7])
+        pose[:2, 3] += self.carried.away
+        half = self.state.get(self.objects[1], "size_x", "size_y") / 2
+        local = (spatial.inverse(pose) @ np.append(tip, 1.0))[:2]
+        self.elsewhere |= bool((np.abs(local) < half - INSIDE).all())
 
     def projected(self, tip: np.ndarray, sent: np.ndarray) -> Tensor:
         """(1, 27) as `recovery_policy.project`, with the block as far along as it can be."""
@@ -70,6 +84,8 @@ class CarriedBlock:
 
     def refutes(self, said: Prediction, tip: np.ndarray) -> bool:
         """Whether a policy sees a wall further away than it can be."""
+        if self.elsewhere:
+            return False
         gaps = wall_gaps(self.projected(tip, tip))[0].numpy()
         return bool((said.block[0, GAPS] > gaps + BEYOND).any())
 
@@ -77,7 +93,7 @@ class CarriedBlock:
         """The place of the block by pictures, m, world frame; where it cannot have got there, that by the scan and the
         hand."""
         place = self.state.get(self.objects[1], "x", "y") + self.carried.away
-        return seen if np.linalg.norm(seen - place) < BEYOND else place
+        return seen if self.elsewhere or np.linalg.norm(seen - place) < BEYOND else place
 
     def step(self, policy: ByState, tip: np.ndarray, sent: np.ndarray) -> np.ndarray | None:
         """(3,) where the policy that knows the state sends the tip; None where it holds itself for done."""

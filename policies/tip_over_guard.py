@@ -45,10 +45,12 @@ class TipOverGuard:
     Attributes:
         top: height of the block's upper face, its stud not counted, m; NaN where nobody measured it.
         stood_at: (3,) m, the tip where it pressed last before it was lifted; None where it has not pressed.
+        sank_at: (3,) m, the tip where it is beneath the block's upper face; None where it is not.
     """
 
     top: float = np.nan
     stood_at: Float[np.ndarray, "3"] | None = field(default=None, init=False)
+    sank_at: Float[np.ndarray, "3"] | None = field(default=None, init=False)
     _lowest: float = field(default=np.inf, init=False)
     _risen: int = field(default=0, init=False)
 
@@ -60,7 +62,8 @@ class TipOverGuard:
             sent_z: height where it was sent, m.
         """
         tip_z = float(tip[2])
-        if tip_z < self.top - BENEATH:
+        self.sank_at = tip if tip_z < self.top - BENEATH else None
+        if self.sank_at is not None:
             return True
         if sent_z > tip_z - PRESSED:
             self._lowest, self._risen, self.stood_at = np.inf, 0, None

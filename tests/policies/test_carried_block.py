@@ -10,12 +10,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from resync_robot.core import spatial
 from resync_robot.core.skill import SkillEnd
 from resync_robot.learning.camera_view import Prediction
 from resync_robot.learning.recovery_policy import STUD, wall_gaps
 from resync_robot.planning.skill_run import run_skill
 from resync_robot.policies.camera_recovery import camera_recovery_skill
-from resync_robot.policies.carried_block import BEYOND, ByState, CarriedBlock
+from resync_robot.policies.carried_block import BEYOND, INSIDE, ByState, CarriedBlock
 from tests import scenes
 from tests.policies.followers import RIG
 from tests.policies.test_camera_recovery import SCENE, SETTINGS, Scripted, Seeing
@@ -95,6 +96,20 @@ def test_pictures_are_refuted_where_a_wall_is_further_away_than_the_hand_can_hav
     assert not carried.refutes(saying(gaps + [0.03, 0.0]), above)
 
 
+@given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(-0.02, 0.02))
+def test_a_hand_that_sinks_into_the_place_of_a_block_shows_that_it_is_elsewhere(x: float, y: float, to: float) -> None:
+    carried, high = block(), tip_at(scenes.CORNER, scenes.CORNER, 0.06)
+    middle, size = SCENE.get(B0, "x", "y"), float(SCENE.get(B0, "size_x")[0])
+    for pressed in (0.0, to):
+        carried.carried.follow(tip_at(middle[0] + pressed, middle[1], 0.0))
+    carried.sank(tip_at(middle[0] + to + x, middle[1] + y, -0.02))
+    beside = spatial.pose_from_features(SCENE[B0][:7])[:2, :2].T @ [x, y]
+    assert carried.elsewhere == (np.abs(beside).max() < size / 2 - INSIDE)
+    gaps, far = wall_gaps(carried.projected(high, high))[0].numpy(), middle + 0.1
+    assert carried.refutes(saying(gaps + 0.05), high) != carried.elsewhere
+    assert (carried.plausible(far) == far).all() == carried.elsewhere
+
+
 class _Pressing:
     """Goes down for some steps, and is done then."""
 
@@ -121,3 +136,13 @@ def test_a_cornered_block_that_is_seen_free_at_once_is_pressed_on_by_the_scan(kn
     assert (pressing.left == 0) == knows_state
     lowest = min(float(tip[2]) for tip in seeing.tips)
     assert (lowest < TOP + SETTINGS.approach_height - 0.02) == knows_state
+
+
+def test_a_hand_that_meets_nothing_where_the_scan_has_the_block_looks_for_it_again() -> None:
+    """As one that lost its block, which stands elsewhere, and presses on air where it was."""
+    pressing = _Pressing(1000)
+    policy = Scripted(step=(0.0, 0.0, 0.0), done_at=1)
+    skill = camera_recovery_skill("Recover", policy, RIG, SETTINGS, by_state=ByState(pressing.act, pressing.done))
+    seeing = Seeing(SCENE)
+    assert run_skill(seeing, skill.ground((R, B0, THE_BOX))).ending is SkillEnd.DONE
+    assert min(float(tip[2]) for tip in seeing.tips) < TOP - STUD, "it has been where the block would be"
