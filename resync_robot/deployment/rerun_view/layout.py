@@ -64,10 +64,9 @@ def _scenes(episode: Episode) -> Iterator[rrb.View]:
 
 
 def _model_tab() -> Iterator[rrb.Container]:
-    yield rrb.Vertical(
+    yield rrb.Tabs(
         rrb.GraphView(origin="model/graph", name="What makes what true"),
-        rrb.TextDocumentView(origin="model/table", name="Model"),
-        row_shares=[3, 2],
+        rrb.TextDocumentView(origin="model/table", name="What each skill needs and does"),
         name="Model",
     )
 

@@ -18,7 +18,7 @@ COLOURS = {
     (False, True): (250, 200, 80),
 }
 """Of skills and of predicates, not learned and learned: what was given is cold, what was learned is warm."""
-LETTER, GAP, LAYER = 7.5, 40.0, 70.0
+LETTER, GAP, LAYER = 7.5, 20.0, 46.0
 """px in the viewer: the width of a letter, the least gap between nodes of a layer, and from layer to layer."""
 
 
