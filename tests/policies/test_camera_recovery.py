@@ -17,7 +17,6 @@ from resync_robot.learning.camera_view import PICTURE, STATE_NAMES, VIEWS, Predi
 from resync_robot.learning.recovery_policy import LOWEST_TIP
 from resync_robot.planning.skill_run import run_skill
 from resync_robot.policies.camera_recovery import MonitorSettings, camera_recovery_skill
-from resync_robot.policies.carried_block import BEYOND
 from resync_robot.policies.grasp import travel_height
 from resync_robot.policies.state_recovery import RecoverySkillSettings
 from resync_robot.policies.tip_over_guard import BENEATH, LET_GO_RISE
@@ -118,9 +117,8 @@ def test_a_hand_that_slid_off_comes_back_over_where_the_policy_sees_the_block(aw
     # Here nothing bears the hand, so it sinks, rises and comes back again and again.
     assert len(sunk) >= 4
     first, second = tips[sunk[0]], tips[sunk[1]]
-    # Nothing has dragged the block, so it cannot be 3 cm away.
-    back = abs(away) if abs(away) < BEYOND else 0.0
-    assert np.linalg.norm((second - first)[:2]) == pytest.approx(back, abs=3e-3)
+    # Nothing has dragged the block, but the hand has been where it stood, so it may be 3 cm away all the same.
+    assert np.linalg.norm((second - first)[:2]) == pytest.approx(abs(away), abs=3e-3)
     up = tips[sunk[0] : sunk[1], 2]
     assert up.max() == pytest.approx(up.min() + LET_GO_RISE, abs=1e-3)
     level = tips[sunk[0] : sunk[1]][up > up.max() - 1e-3]
