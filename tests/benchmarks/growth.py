@@ -1,12 +1,13 @@
 """How dreaming and planning grow with the stages that are known and with the objects of a scene.
 
-    python tests/benchmarks/growth.py RUN_FOLDER [--objects 2 4 6 8] [--room 4] [--scenes 10]
+    python tests/benchmarks/growth.py RUN_FOLDER [--objects 2 4 6 8] [--room 4] [--scenes 10] [--scenario l5]
 
 For the library after each stage, and scenes with so many objects that its failures can be about, with every known cause
 in the way of the first of them: how many combinations there are to dream of, and the time of grounding and of planning
 to the domain's usual goal, on one core. Where a scene has room for fewer objects (`--room`), the others stand in a row
-beyond it: neither grounding nor planning asks whether the robot reaches them. Minutes of each step of the run stand in
-its metrics.json.
+beyond it: neither grounding nor planning asks whether the robot reaches them. With `--scenario` the scenes and goals are
+those of a scenario, for what is to be done there; the causes stand where it has them. Minutes of each step of the run
+stand in its metrics.json.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from resync_robot.curriculum.dream import usual_objects
 from resync_robot.learning.failures import FailureModel
 from resync_robot.library_models import embodiment_of, learned_model
 from resync_robot.planning.search import plan
-from resync_robot.sim_training.domains import find_domain
+from resync_robot.sim_training.domains import find_domain, world_task
 from resync_robot.sim_training.dreaming import Dream, Dreamer, Placement
 
 FRESH = 960_000_000
@@ -57,6 +58,7 @@ def main() -> None:
     parser.add_argument("--objects", type=int, nargs="+", default=[2, 4, 6, 8])
     parser.add_argument("--room", type=int, default=8)
     parser.add_argument("--scenes", type=int, default=10)
+    parser.add_argument("--scenario", help="scenes of this one, with as many objects more as are missing")
     args = parser.parse_args()
     torch.set_num_threads(1)
     metrics = json.loads((args.run / "metrics.json").read_text(encoding="utf-8"))
@@ -75,8 +77,12 @@ def main() -> None:
             there = {**usual, failures[-1].relevant: min(count, args.room)}
             dreamer = Dreamer(domain, embodiment_of(domain, rig), failures, model, there)
             grounding, planning, steps = [], [], []
-            for seed in range(FRESH, FRESH + args.scenes):
-                task = crowded(dreamer.task(Dream(before, seed)), failures[-1].relevant, count)
+            for i in range(args.scenes):
+                if args.scenario is None:
+                    scene = dreamer.task(Dream(before, FRESH + i))
+                else:
+                    scene = world_task(domain, args.scenario, FRESH, i)
+                task = crowded(scene, failures[-1].relevant, count)
                 begun = time.perf_counter()
                 atoms = model.abstraction.true_atoms(task.initial)
                 grounding.append(1000 * (time.perf_counter() - begun))
