@@ -2,9 +2,10 @@
 
 A block that is narrow, high and rough tips over rather than slides, within two tenths of a second. As it begins to
 lean it lifts the hand that presses on it, by millimetres that the joints tell at once, where no picture would show it
-in time. Let go then, it falls back on its feet, a centimetre further on. A hand that sinks beneath the block's upper
-face has slid off it. And a hand that is done pressing goes straight up: drawn sideways as the pressure fades, it would
-take the block's top along.
+in time. Let go then, it falls back on its feet, a centimetre further on. A hand also rises as it presses less: pads and
+fingers yield by millimetres. But what leans pushes the hand up against the arm, and is felt. A hand that sinks beneath
+the block's upper face has slid off it. And a hand that is done pressing goes straight up: drawn sideways as the
+pressure fades, it would take the block's top along.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from resync_robot.policies.cartesian import GIVE_IN_STEP, Hand
 
 PRESSED = 0.005
 """m that the hand is sent beneath where it stands: then it rests on something."""
+FELT = 50.0
+"""N that a block which leans pushes with at least. An arm that drags presses with what its effort limit allows, 60 to
+120 N; one that yields to an impact, as a UR7e does, presses with less and less, and its hand rises by as much."""
 RISE, RISE_STEPS = 0.002, 3
 """m above the lowest that it stood since it has pressed, for so many control steps: a hand that has struck wobbles by
 as much, but not for as long. Dragging a block that stands lifts the hand by less."""
@@ -54,12 +58,13 @@ class TipOverGuard:
     _lowest: float = field(default=np.inf, init=False)
     _risen: int = field(default=0, init=False)
 
-    def gives_way(self, tip: Float[np.ndarray, "3"], sent_z: float) -> bool:
+    def gives_way(self, tip: Float[np.ndarray, "3"], sent_z: float, force: float) -> bool:
         """Look at one control step.
 
         Args:
             tip: as measured, m.
             sent_z: height where it was sent, m.
+            force: that pushes the tip up, N.
         """
         tip_z = float(tip[2])
         self.sank_at = tip if tip_z < self.top - BENEATH else None
@@ -71,6 +76,9 @@ class TipOverGuard:
         self._lowest = min(self._lowest, tip_z)
         if tip_z < self._lowest + LIFTED:
             self.stood_at = tip
+        if force < FELT:
+            self._risen = 0
+            return False
         self._risen = self._risen + 1 if tip_z > self._lowest + RISE else 0
         stud = self.top + STUD
         return (self._lowest < stud and tip_z > stud + ABOVE) or self._risen >= RISE_STEPS
@@ -94,7 +102,7 @@ def press_on(
     for i in range(1, steps + 1):
         hand.position = begin + (goal - begin) * i / steps
         hand.last = yield hand.target()
-        if guard.gives_way(hand.tip(), hand.position[2]):
+        if guard.gives_way(hand.tip(), hand.position[2], float(hand.last.tip_force[2])):
             break
     else:
         return True

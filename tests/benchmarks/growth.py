@@ -5,9 +5,8 @@
 For the library after each stage, and scenes with so many objects that its failures can be about, with every known cause
 in the way of the first of them: how many combinations there are to dream of, and the time of grounding and of planning
 to the domain's usual goal, on one core. Where a scene has room for fewer objects (`--room`), the others stand in a row
-beyond it: neither grounding nor planning asks whether the robot reaches them. With `--scenario` the scenes and goals are
-those of a scenario, for what is to be done there; the causes stand where it has them. Minutes of each step of the run
-stand in its metrics.json.
+beyond it: neither grounding nor planning asks whether the robot reaches them. With `--scenario` scenes and goals are
+those of a scenario, and the causes stand where it has them. Minutes of each step of the run stand in its metrics.json.
 """
 
 from __future__ import annotations

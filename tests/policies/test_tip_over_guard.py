@@ -17,6 +17,7 @@ from resync_robot.policies.cartesian import GIVE_IN_STEP, Hand
 from resync_robot.policies.tip_over_guard import (
     ABOVE,
     BENEATH,
+    FELT,
     LET_GO_RISE,
     PRESSED,
     RISE,
@@ -30,6 +31,8 @@ from tests.policies.followers import RIG, Follower
 SCENE = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).initial
 PERIOD, FLOOR = 0.02, 0.06
 HEIGHTS = st.floats(0.0, 0.2)
+HARD = 60.0
+"""N, as an arm presses that its effort limit holds."""
 
 
 @dataclass
@@ -48,6 +51,7 @@ class Top(Follower):
         self.dragged = self.dragged + abs(tip[0, 3] - before) if pressed else 0.0
         self.longest = max(self.longest, self.dragged)
         tip[2, 3] = max(tip[2, 3], FLOOR + self.steep * self.dragged)
+        self.force = np.array([0.0, 0.0, HARD * pressed])
         flange = spatial.inverse(self.rig.arm.world_T_base) @ tip @ spatial.inverse(self.rig.gripper.flange_T_tip)
         kinematics = self.rig.arm.kinematics
         arm = kinematics.inverse_along(flange, self.arm, kinematics.branch_of(self.arm))
@@ -139,24 +143,24 @@ def at(z: float, x: float = 0.0) -> np.ndarray:
 
 @given(HEIGHTS, HEIGHTS, HEIGHTS)
 def test_beside_a_block_is_beneath_its_top_whatever_it_was_sent(top: float, tip: float, sent: float) -> None:
-    assert (TipOverGuard(top=top).gives_way(at(tip), sent)) == (tip < top - BENEATH)
-    assert not TipOverGuard().gives_way(at(tip), sent)
+    assert (TipOverGuard(top=top).gives_way(at(tip), sent, HARD)) == (tip < top - BENEATH)
+    assert not TipOverGuard().gives_way(at(tip), sent, HARD)
 
 
 @given(st.lists(st.tuples(HEIGHTS, HEIGHTS), max_size=40), HEIGHTS)
 def test_a_hand_in_the_air_feels_nothing(steps: list[tuple[float, float]], height: float) -> None:
     guard = TipOverGuard()
     for tip, sent in steps:
-        guard.gives_way(at(tip), sent)
-    assert not guard.gives_way(at(height), height - PRESSED + 1e-6)
+        guard.gives_way(at(tip), sent, HARD)
+    assert not guard.gives_way(at(height), height - PRESSED + 1e-6, HARD)
     # And nothing of what it stood on before.
-    assert not guard.gives_way(at(height + 0.01), height - PRESSED)
+    assert not guard.gives_way(at(height + 0.01), height - PRESSED, HARD)
 
 
 @given(st.lists(HEIGHTS, min_size=1, max_size=40))
 def test_only_a_rise_above_the_lowest_that_lasts_is_a_lean(heights: list[float]) -> None:
     guard = TipOverGuard()
-    felt = [guard.gives_way(at(z), z - 2 * PRESSED) for z in heights]
+    felt = [guard.gives_way(at(z), z - 2 * PRESSED, HARD) for z in heights]
     risen = heights > np.minimum.accumulate(heights) + RISE
     assert felt == [bool(risen[max(0, i + 1 - RISE_STEPS) : i + 1].sum() == RISE_STEPS) for i in range(len(heights))]
 
@@ -166,13 +170,13 @@ def test_it_remembers_where_a_block_stood_that_leans_now(standing: list[float], 
     """Each control step takes the hand 1 mm on."""
     guard = TipOverGuard()
     for i, z in enumerate(standing):
-        assert not guard.gives_way(at(z, 0.001 * i), z - 2 * PRESSED)
-    felt = [guard.gives_way(at(0.003 + 0.001 * i, 1.0), -2 * PRESSED) for i in range(leaning)]
+        assert not guard.gives_way(at(z, 0.001 * i), z - 2 * PRESSED, HARD)
+    felt = [guard.gives_way(at(0.003 + 0.001 * i, 1.0), -2 * PRESSED, HARD) for i in range(leaning)]
     assert felt.index(True) == RISE_STEPS - 1
     assert guard.stood_at is not None
     assert guard.stood_at[0] == pytest.approx(0.001 * (len(standing) - 1))
     # In the air nothing stands beneath it.
-    guard.gives_way(at(0.1), 0.1)
+    guard.gives_way(at(0.1), 0.1, 0.0)
     assert guard.stood_at is None
 
 
@@ -183,18 +187,38 @@ STRUCK = [14.0, 10.7, 9.2, 10.0, 11.6, 11.5, 10.3, 10.3, 11.5, 11.2, 11.0, 10.2,
 @pytest.mark.parametrize("known", [False, True])
 def test_a_hand_that_wobbles_after_it_has_struck_feels_no_lean(known: bool) -> None:
     guard = TipOverGuard(top=0.0) if known else TipOverGuard()
-    assert not any(guard.gives_way(at(z / 1000), -0.01) for z in STRUCK)
+    assert not any(guard.gives_way(at(z / 1000), -0.01, HARD) for z in STRUCK)
 
 
 def test_no_hand_rests_above_the_stud_of_a_block_that_stands() -> None:
     leaning = [*STRUCK, 11.9, 13.1, 14.4, 15.8]
     known, unknown = TipOverGuard(top=0.0), TipOverGuard()
-    assert [known.gives_way(at(z / 1000), -0.01) for z in leaning].index(True) == len(STRUCK) + 1
-    assert [unknown.gives_way(at(z / 1000), -0.01) for z in leaning].index(True) == len(STRUCK) + 2
+    assert [known.gives_way(at(z / 1000), -0.01, HARD) for z in leaning].index(True) == len(STRUCK) + 1
+    assert [unknown.gives_way(at(z / 1000), -0.01, HARD) for z in leaning].index(True) == len(STRUCK) + 2
     # On the way down it has not touched anything yet.
     assert not any(
-        TipOverGuard(top=0.0).gives_way(at(z), z - 2 * PRESSED) for z in np.linspace(0.05, STUD + 2 * ABOVE, 9)
+        TipOverGuard(top=0.0).gives_way(at(z), z - 2 * PRESSED, HARD) for z in np.linspace(0.05, STUD + 2 * ABOVE, 9)
     )
+
+
+YIELDING = [(0.1, 1), (-1.6, 54), (-2.5, 93), (-3.2, 110), (-3.1, 113), (-2.8, 102), (-2.3, 78), (-2.0, 66), (-1.4, 61)]
+FADING = [(-1.2, 46), (-1.1, 43), (-0.9, 41), (-0.9, 30), (-0.7, 20), (0.1, 8), (1.2, 5), (1.3, 2)]
+"""mm above the stud, and N, of an emulated UR7e that strikes a block that stands, and drags it as the force fades."""
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_hand_that_presses_less_than_it_did_feels_no_lean(known: bool) -> None:
+    guard = TipOverGuard(top=-STUD) if known else TipOverGuard()
+    assert not any(guard.gives_way(at(z / 1000), -0.02, f) for z, f in YIELDING + FADING)
+    # Pushed up as hard as before it does.
+    assert any(guard.gives_way(at(z / 1000), -0.02, 61.0) for z in (1.2, 1.3, 1.4))
+
+
+@given(HEIGHTS, st.floats(0.0, FELT, exclude_max=True))
+def test_no_block_lifts_a_hand_that_hardly_feels_it(rise: float, force: float) -> None:
+    guard = TipOverGuard()
+    assert not guard.gives_way(at(0.0), -1.0, HARD)
+    assert not any(guard.gives_way(at(rise), -1.0, force) for _ in range(2 * RISE_STEPS))
 
 
 @pytest.mark.parametrize("ahead", [0.0, 0.05, 0.15])
