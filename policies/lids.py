@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, LID, ROBOT
 from resync_robot.core.world import ArmObservation
 from resync_robot.policies.cartesian import Blocked, Dropped, Hand, Motion, run_motion
-from resync_robot.policies.fittings import in_a_way, knob_top
+from resync_robot.policies.fittings import footprints, in_a_way, knob_top
 from resync_robot.policies.grasp import finger_clearance, travel_height
 from resync_robot.policies.placing import Places
 from resync_robot.policies.scripted import (
@@ -113,7 +114,11 @@ def _put_down(
     s: ScriptedSettings,
     of_lids: LidSettings,
 ) -> Motion:
-    """Lay a lid that hangs from the hand down at the first of these (3,) places of the tip where nothing is met."""
+    """Lay a lid that hangs from the hand down at the first of these (3,) places of the tip where nothing is met.
+
+    Where something is met at each, the last one has to do: no other skill can put a lid down. What is met is the table
+    mostly, by the edge of a lid that hangs askew.
+    """
     # Square to the table, so that it takes the least room.
     yaw, reason = hand.yaw - float(spatial.wrap(hand.yaw, np.pi / 2)), ""
     for tip in places:
@@ -127,13 +132,20 @@ def _put_down(
             yield from hand.back_off(carrying, s.approach_speed)
             continue
         return (yield from stand_down(hand, tip, lid, opening, carrying, s))
+    x, y, _ = hand.position
+    with suppress(Blocked):
+        yield from hand.move(x, y, places[-1][2], hand.yaw, s.descent_speed, max_force=s.touch_force)
+    yield from hand.give_in()
+    yield from hand.open(opening)
+    yield from hand.back_off(carrying, s.approach_speed)
     return SkillOutcome(SkillEnd.BLOCKED, f"putting {lid} down: {reason}")
 
 
 def _places(
     state: State, lid: Object, hand: Hand, hanging: float, carrying: float, of_lids: LidSettings
 ) -> list[np.ndarray]:
-    """(3,) each: where the tip may be when the lid lies on the table, square to it; the nearest to the lid first."""
+    """(3,) each: where the tip may be when the lid lies on the table, square to it; the nearest to the lid first. Clear
+    of where it lies now as well: of what it covers, a scan hardly sees how far it reaches."""
     x, y = (np.arange(low, high + of_lids.pitch / 2, of_lids.pitch) for low, high in of_lids.region)
     xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     half = state.get(lid, "size_x", "size_y") / 2
@@ -142,6 +154,7 @@ def _places(
     others = state.project(o for o in state if o != lid)
     covered = xy[:, None] + plate
     room = finger_clearance(others, covered, of_lids.ground, state.of_type(BLOCK)).min(1)
+    room = np.minimum(room, next(footprints(state.project([lid]))).away(covered).min(1))
     free = (room >= of_lids.room) & ~in_a_way(others, covered, of_lids.room).any(1)
     tips: Places = np.column_stack([xy, np.full(len(xy), of_lids.ground + hanging)])[free]
     tips = tips[reached(tips, carrying, hand)]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from resync_robot.core.fittings import LID
+from resync_robot.core.joints import JointTarget
 from resync_robot.core.skill import SkillEnd
 from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK
@@ -20,10 +21,12 @@ from tests import scenes
 from tests.furnished_scenes import THE_LID
 from tests.policies.followers import Follower
 from tests.policies.furnished_worlds import build, run
-from tests.scenes import B0, B1, R
+from tests.scenes import B0, B1, THE_BOX, R
 
 BLOCKS = {"b0": (scenes.CORNER, scenes.CORNER), "b1": (-0.24, -0.32, 0.5, 0.0)}
 """One in a corner of the box, one on the table where the lid could go."""
+MET = 0.07
+"""m above the table."""
 
 
 def test_a_lid_is_lifted_and_put_down_where_nothing_stands() -> None:
@@ -63,3 +66,37 @@ def test_where_no_lid_fits_none_is_lifted() -> None:
     assert outcome.ending is SkillEnd.REFUSED and "no free place" in outcome.reason
     held: Object = BLOCK("b0")
     assert held in task.objects and world.opening > LID.knob[0], "the pads have let go"
+
+
+def test_a_lid_is_laid_clear_of_a_box_that_reaches_further_than_was_seen_beneath_it() -> None:
+    class Misled(SimWorld):
+        def observe(self, live: bool = False) -> ArmObservation:
+            seen = super().observe(live)
+            y, size = seen.state.get(THE_BOX, "y")[0], seen.state.get(THE_BOX, "inner_y")[0]
+            return replace(seen, state=seen.state.with_features(THE_BOX, y=y + 0.014, inner_y=size - 0.03))
+
+    world = build(furnished.furnished({"b0": (0.0, 0.0)}, lid=furnished.lid_features()), Misled)
+    assert run(world, "RemoveLid", THE_LID).done
+    assert world.perceive().get(THE_LID, "z")[0] == pytest.approx(LID.size[2] / 2, abs=0.001), "flat on the table"
+
+
+def test_a_lid_that_can_be_laid_nowhere_as_it_should_does_not_stay_in_the_hand() -> None:
+    task = furnished.furnished({"b0": (0.0, 0.0)}, lid=furnished.lid_features())
+    begin = task.initial.get(THE_LID, "x", "y")
+    let_go: list[float] = []
+
+    class Ground(Follower):
+        """Wherever a lid could be laid, something is met 5 cm too early."""
+
+        def act(self, target: JointTarget, duration: float) -> None:
+            tip = self.rig.tip_pose(target.arm)[:3, 3]
+            self.force = np.array([0.0, 0.0, 60.0 * (np.linalg.norm(tip[:2] - begin) > 0.2 and tip[2] < MET)])
+            if target.opening > self.opening and self.opening == LID.knob[0]:
+                let_go.append(tip[2])
+            super().act(target, duration)
+
+    world = Ground(task.initial, between=LID.knob[0])
+    outcome = run(world, "RemoveLid", THE_LID)
+    assert outcome.ending is SkillEnd.BLOCKED and "putting lid down: 60 N" in outcome.reason
+    assert len(let_go) == 1 and let_go[0] == pytest.approx(MET, abs=0.01), "laid on what is met, not dropped"
+    assert world.tips[-1][2] > MET + 0.1, "and away from it"
