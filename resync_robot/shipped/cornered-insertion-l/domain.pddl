@@ -25,7 +25,7 @@
   (:action Insert
     :parameters (?r - robot ?b0 - block ?b1 - block)
     :precondition (and (Holding ?r ?b0) (LidOff) (Outside ?b1) (ReadyInsert ?b1) (not-On-exists-block0 ?b1))
-    :effect (and (HandEmpty ?r) (On ?b0 ?b1) (On-exists-block0 ?b1) (not (Holding ?r ?b0)) (not (not-On-exists-block0 ?b1)) (forall (?any0 - robot ?any1 - block) (not (HoldingTower ?any0 ?any1 ?b0))) (forall (?any1 - block ?any2 - block) (not (HoldingTower ?r ?any1 ?any2))) (forall (?any1 - block) (not (HoldingTower ?r ?any1 ?b0))))
+    :effect (and (HandEmpty ?r) (On ?b0 ?b1) (On-exists-block0 ?b1) (not (Holding ?r ?b0)) (not (not-On-exists-block0 ?b1)) (forall (?any1 - block ?any2 - block) (not (HoldingTower ?r ?any1 ?any2))))
   )
   (:action OpenDrawer
     :parameters (?r - robot ?d - drawer)
@@ -35,7 +35,7 @@
   (:action Pick
     :parameters (?r - robot ?b - block)
     :precondition (and (HandEmpty ?r) (LidOff) (Outside ?b) (ReadyInsert ?b))
-    :effect (and (Holding ?r ?b) (not (HandEmpty ?r)))
+    :effect (and (Holding ?r ?b) (not (HandEmpty ?r)) (forall (?any1 - block) (not (On ?b ?any1))))
   )
   (:action PickTower
     :parameters (?r - robot ?b0 - block ?b1 - block)
