@@ -138,8 +138,13 @@ def approach(
         aside: m beside the block's middle, along the axes of the world.
 
     Returns:
-        None, or why the hand is in no condition for it. Raises Blocked.
+        None, or why it cannot be: the hand is in no condition for it, or the block is not in the box, over which the
+        tips stay. Raises Blocked.
     """
+    box_T_world = spatial.inverse(spatial.pose_from_features(state[box][:7]))
+    place = spatial.apply(box_T_world, state.get(block, "x", "y", "z")[None])[0]
+    if (np.abs(place[:2]) > state.get(box, "inner_x", "inner_y") / 2).any():
+        return SkillOutcome(SkillEnd.REFUSED, f"{block} is not in {box}")
     x, y, z, height = state.get(block, "x", "y", "z", "size_z")
     x, y = x + aside[0], y + aside[1]
     yaw = float(spatial.wrap(spatial.yaw_of(state.get(box, "qw", "qx", "qy", "qz")), np.pi / 2))

@@ -21,6 +21,8 @@ BOX_X = 0.48
 """The box stands here on the table, in front of the arm."""
 WIDTH, HEIGHT = 0.060, 0.045
 R, THE_BOX = ROBOT("r"), BOX("box")
+ON_THE_TABLE = {"b0": (-0.24, -0.32, 0.5, 0.0), "b1": (0.075, 0.06)}
+"""b0, as `scene` takes it; b1 stands in the box."""
 B0, B1, B2 = BLOCK("b0"), BLOCK("b1"), BLOCK("b2")
 CORNER = INNER / 2 - WIDTH / 2 - 0.001
 """Coordinate of a block that is squeezed into the corner (+, +) of the box."""

@@ -216,6 +216,12 @@ def test_a_world_without_cameras_is_said_to_be_one() -> None:
     assert outcome.ending is SkillEnd.BLOCKED and "no camera" in outcome.reason
 
 
+def test_a_block_on_the_table_is_refused() -> None:
+    recover = camera_recovery_skill("Recover", Scripted(), RIG, SETTINGS)
+    outcome = run_skill(Follower(scenes.scene(scenes.ON_THE_TABLE).initial), recover.ground((R, B0, THE_BOX)))
+    assert outcome.ending is SkillEnd.REFUSED and "b0 is not in box" in outcome.reason
+
+
 def test_something_between_the_pads_refuses_it() -> None:
     outcome, _ = run(Scripted(), between=0.05)
     assert outcome.ending is SkillEnd.REFUSED

@@ -26,7 +26,7 @@ from resync_robot.sim_training.physics.world import SimWorld
 from tests import scenes
 from tests.libraries import recovery_record
 from tests.policies.followers import RIG, Follower
-from tests.scenes import B0, B1, THE_BOX, R
+from tests.scenes import B0, B1, ON_THE_TABLE, THE_BOX, R
 
 SCENE = scenes.scene({"b0": (scenes.CORNER, scenes.CORNER), "b1": (0.0, 0.0)}).initial
 SETTINGS = RecoverySkillSettings(max_decisions=6)
@@ -98,6 +98,12 @@ def test_with_something_between_the_pads_it_refuses_and_stays_where_it_is() -> N
     outcome = run_skill(world, skill_from("Recover", still, never, RIG, SETTINGS).ground((R, B0, THE_BOX)))
     assert outcome.ending is SkillEnd.REFUSED and "60 mm apart" in outcome.reason
     np.testing.assert_allclose(world.tips, np.tile(begun, (len(world.tips), 1)), atol=1e-6)
+
+
+def test_a_block_on_the_table_is_refused_for_the_tips_stay_over_the_box() -> None:
+    world = Follower(scenes.scene(ON_THE_TABLE).initial)
+    outcome = run_skill(world, skill_from("Recover", still, never, RIG, SETTINGS).ground((R, B0, THE_BOX)))
+    assert outcome.ending is SkillEnd.REFUSED and "b0 is not in box" in outcome.reason
 
 
 def test_a_heavy_block_stays_in_the_hand_that_refuses() -> None:
