@@ -39,8 +39,7 @@ UNPLACED = 0.5
 REDRAWN = 20
 """Scenes that are drawn until one stands."""
 WANDERED = 0.2
-"""Wanderings for each attempt. Of what a skill ends a handful of cases has to be seen, and where given predicates err,
-half of the wanderings are over before that."""
+"""Wanderings for each attempt: of what a skill ends a handful of cases has to be seen."""
 
 
 @dataclass(frozen=True)

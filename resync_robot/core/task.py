@@ -90,7 +90,8 @@ class Domain:
             a scenario without one gets a number by its name.
         dream: (rng, seed, how many objects of the relevant type) -> a task in which all of them begin free.
         practice: (rng, seed) -> a task with one object somewhere between trapped and free, or covered, where the domain
-            knows better than chance what is worth practising.
+            knows better than chance what is worth practising. An attempt ends with its first failure, so every skill
+            should be the first one to meet what is in the way now and then.
         expert: (state, goal) -> the skill sequence that a person gives: (skill name, objects) each.
         instruction: what the recovery does, in a sentence, for datasets and policies that read one.
         spec: what `find_domain` finds it by in another process, which fills it in; the name of one that comes with the

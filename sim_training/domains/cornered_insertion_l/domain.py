@@ -55,15 +55,22 @@ def free_task(rng: np.random.Generator, seed: int, counts: Mapping[Type, int]) -
     return sample_task(rng, seed, tower("b0", "b1"), layout, PRACTICE)
 
 
+BUILT = 0.2
+"""Share of practice with the tower built: where its base is in the way Insert fails, and PickTower is never tried."""
+
+
 def practice_task(rng: np.random.Generator, seed: int) -> Task:
-    """The tower of b0 on b1, one of them in the way as in Cornered Insertion-S; the lid off and the drawer open, which
-    stand in nobody's way and would take half of an attempt."""
+    """The tower of b0 on b1, one of them in the way as in Cornered Insertion-S, or the built tower; the lid off and the
+    drawer open, which stand in nobody's way and would take half of an attempt."""
 
     def draw(blocks: int) -> Task:
         free = tuple(f"b{i}" for i in range(blocks))
         layout = FurnishedLayout(free=free, in_box=0.0, lid_on=False, drawer_open=True)
         return sample_task(rng, seed, tower("b0", "b1"), layout, PRACTICE)
 
+    if rng.random() < BUILT:
+        base = small.in_a_corner(rng, draw(2), BLOCK("b1"))
+        return small.cover(base, BLOCK("b0"), BLOCK("b1"), rng)
     return small.in_the_way(rng, draw)
 
 

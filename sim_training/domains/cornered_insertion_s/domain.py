@@ -103,7 +103,11 @@ def in_the_way(rng: np.random.Generator, draw: Callable[[int], Task]) -> Task:
     matters = BLOCK("b1" if rng.random() < 0.7 else "b0")
     if rng.random() < COVERED:
         return cover(draw(3), BLOCK("b2"), matters, rng)
-    task = draw(2)
+    return in_a_corner(rng, draw(2), matters)
+
+
+def in_a_corner(rng: np.random.Generator, task: Task, block: Object) -> Task:
+    """The task with a block anywhere between deep in a corner of the box and its middle."""
     if rng.random() < 0.35:
         gaps = rng.uniform(0.0005, 0.006), rng.uniform(0.0005, 0.006)
     else:
@@ -112,7 +116,7 @@ def in_the_way(rng: np.random.Generator, draw: Callable[[int], Task]) -> Task:
     # Close to a wall a block cannot stand askew.
     angle = rng.uniform(-0.05, 0.05) if min(gaps) < 0.015 else rng.uniform(-np.pi / 4, np.pi / 4)
     relative = in_corner(min(gaps), max(gaps), float(angle))
-    return replace(task, initial=moved(task.initial, matters, THE_BOX, relative, rng, RELATIONS))
+    return replace(task, initial=moved(task.initial, block, THE_BOX, relative, rng, RELATIONS))
 
 
 def cover(task: Task, upper: Object, lower: Object, rng: np.random.Generator) -> Task:
