@@ -5,8 +5,8 @@ grasp one block no longer is once it has gone to another, or that a push loses w
 know this makes plans that begin with what they then undo.
 
 What a skill ends shows only where there was something to end: that a block which is picked stands on nothing any more,
-where it stood on another. Such situations come about by several skills in a row. So a wandering does what it has not
-done yet in a situation like this one, rather than open and close a drawer five times.
+where it stood on another. Such situations come about by several skills in a row. So a wandering does first what it has
+not done yet in a situation like this one, rather than open and close a drawer five times.
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ from resync_robot.planning.execute import Model
 from resync_robot.planning.search import ground_all
 from resync_robot.planning.skill_run import looks, run_skill
 
-LONGEST, TAKEN_BACK = 6, 4
+LONGEST, TAKEN_BACK = 12, 4
 """Skills in a wandering at most, and those that may be tried in vain beside them."""
+EARLY = 6
+"""The recovery is one of so many that come first, and there are at least so many."""
 
 Situation = tuple[str, frozenset[tuple[str, ...]]]
 """A skill, and the lifted atoms about what it is done to."""
@@ -43,9 +45,9 @@ def wander(
 ) -> tuple[Transition, ...]:
     """Given skills that the model says could be done next, and one recovery somewhere among them.
 
-    Skills that were not done yet in such a situation come first. Each of them is as likely as any other, however many
-    objects it could be done to. A hand that could go to any of many blocks would seldom hold one, and what is lost with
-    it would not be seen.
+    What was not done yet in such a situation comes first; where there is no such thing it ends after `EARLY` skills.
+    Each skill is as likely as any other, however many objects it could be done to. A hand that could go to any of many
+    blocks would seldom hold one, and what is lost with it would not be seen.
 
     What does not do what it should is taken back, and something else is done. It is not told: it may have failed of
     where the robot came from, which nobody will ask of it.
@@ -56,20 +58,21 @@ def wander(
         recoveries: names of all learned skills, which are not drawn.
     """
     steps = [s for s in ground_all(model.operators, task.objects) if s.name not in recoveries]
-    recover_at = int(rng.integers(LONGEST))
+    recover_at = int(rng.integers(EARLY))
     done: list[Transition] = []
-    vain: set[GroundSkill] = set()
+    in_vain = False
     seen: set[Situation] = set()
     before = world.perceive()
     atoms = model.abstraction.true_atoms(before)
     for _ in range(LONGEST + TAKEN_BACK):
         ground, wanted = recovery(before), frozenset[Atom]()
-        if len(done) != recover_at or ground in vain:
+        if len(done) != recover_at or in_vain:
             possible = [s for s in steps if s.applicable(atoms) and not s.add <= atoms]
-            possible = [s for s in possible if model.skill(s.name).ground(s.objects) not in vain]
-            if not possible:
+            fresh = [s for s in possible if situation(s, atoms) not in seen]
+            choice = fresh if fresh or len(done) >= EARLY else possible
+            if not choice:
                 break
-            step = _drawn([s for s in possible if situation(s, atoms) not in seen] or possible, rng)
+            step = _drawn(choice, rng)
             seen.add(situation(step, atoms))
             ground, wanted = model.skill(step.name).ground(step.objects), step.add
         snapshot = world.save()
@@ -78,13 +81,12 @@ def wander(
             found = model.abstraction.true_atoms(after)
             if wanted <= found:
                 break
-        if not outcome.done or not wanted <= found:
+        in_vain = not outcome.done or not wanted <= found
+        if in_vain:
             world.restore(snapshot)
-            vain.add(ground)
             continue
         done.append(Transition(before, ground.name, ground.objects, after, True))
         before, atoms = after, found
-        vain.clear()
         if len(done) == LONGEST:
             break
     return tuple(done)

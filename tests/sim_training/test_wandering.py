@@ -14,9 +14,8 @@ from resync_robot.core.trajectory import Trajectory, Transition
 from resync_robot.learning.dataset import ATTEMPT, merged_dataset
 from resync_robot.learning.operators import swept
 from resync_robot.library_models import initial_model
-from resync_robot.planning.search import ground_all
 from resync_robot.sim_training.domains import find_domain
-from resync_robot.sim_training.wandering import LONGEST, situation, wander
+from resync_robot.sim_training.wandering import EARLY, LONGEST, situation, wander
 
 DOMAIN = find_domain("blocked-stacking")
 MODEL = initial_model(DOMAIN, None)
@@ -63,23 +62,20 @@ def test_the_same_seed_wanders_the_same_way() -> None:
 def test_what_fails_is_taken_back_and_something_else_is_done() -> None:
     """The recovery runs out of its time on the way, in each of them."""
     in_vain = [_walk(seed, time_limit_s=0.1) for seed in range(12)]
-    assert [len(walk) for walk in in_vain] == [LONGEST] * 12
+    assert min(len(walk) for walk in in_vain) >= EARLY, "so each of them has gone on after it"
     for walk in in_vain:
         assert all(a.after == b.before for a, b in itertools.pairwise(walk))
 
 
-def test_a_situation_comes_back_only_where_every_other_was_seen_too() -> None:
-    """A drawer is not opened and closed for ever. A few steps fail, and are not told."""
-    left: list[int] = []
+def test_after_a_few_skills_no_situation_comes_back() -> None:
+    """A drawer is not opened and closed for ever. The recovery, a reach here, is not what is meant."""
+    late = 0
     for walk in WALKS:
         told = [situation(OPERATORS[t.skill].ground(t.objects), _atoms(t)) for t in walk]
-        for i, t in enumerate(walk):
-            if t.skill == "ReachToGrasp" or told[i] not in told[:i]:  # the first may be the recovery
-                continue
-            steps = ground_all(MODEL.operators, t.before.objects)
-            possible = [s for s in steps if s.applicable(_atoms(t)) and not s.add <= _atoms(t)]
-            left.append(len({situation(s, _atoms(t)) for s in possible} - set(told[:i])))
-    assert len(left) > 5 and np.count_nonzero(left) <= len(left) / 4, left
+        for i in range(EARLY, len(walk)):
+            late += walk[i].skill != "ReachToGrasp"
+            assert walk[i].skill == "ReachToGrasp" or told[i] not in told[:i]
+    assert late > 10
 
 
 def _atoms(t: Transition) -> Atoms:
