@@ -29,7 +29,7 @@ from resync_robot.planning.skill_run import looks, run_skill
 LONGEST, TAKEN_BACK = 12, 4
 """Skills in a wandering at most, and those that may be tried in vain beside them."""
 EARLY = 6
-"""The recovery is one of so many that come first, and there are at least so many."""
+"""The recovery is one of so many that come first."""
 
 Situation = tuple[str, frozenset[tuple[str, ...]]]
 """A skill, and the lifted atoms about what it is done to."""
@@ -44,10 +44,6 @@ def wander(
     rng: np.random.Generator,
 ) -> tuple[Transition, ...]:
     """Given skills that the model says could be done next, and one recovery somewhere among them.
-
-    What was not done yet in such a situation comes first; where there is no such thing it ends after `EARLY` skills.
-    Each skill is as likely as any other, however many objects it could be done to. A hand that could go to any of many
-    blocks would seldom hold one, and what is lost with it would not be seen.
 
     What does not do what it should is taken back, and something else is done. It is not told: it may have failed of
     where the robot came from, which nobody will ask of it.
@@ -68,11 +64,9 @@ def wander(
         ground, wanted = recovery(before), frozenset[Atom]()
         if len(done) != recover_at or in_vain:
             possible = [s for s in steps if s.applicable(atoms) and not s.add <= atoms]
-            fresh = [s for s in possible if situation(s, atoms) not in seen]
-            choice = fresh if fresh or len(done) >= EARLY else possible
-            if not choice:
+            if not possible:
                 break
-            step = _drawn(choice, rng)
+            step = drawn(possible, atoms, seen, rng)
             seen.add(situation(step, atoms))
             ground, wanted = model.skill(step.name).ground(step.objects), step.add
         snapshot = world.save()
@@ -100,9 +94,16 @@ def situation(step: GroundOperator, atoms: Atoms) -> Situation:
     return step.name, frozenset(lifted)
 
 
-def _drawn(possible: Sequence[GroundOperator], rng: np.random.Generator) -> GroundOperator:
-    """First a skill, then what it is done to."""
-    names = sorted({s.name for s in possible})
+def drawn(
+    possible: Sequence[GroundOperator], atoms: Atoms, seen: Collection[Situation], rng: np.random.Generator
+) -> GroundOperator:
+    """First a skill, then what it is done to, of those whose situation was not seen yet, if there are any.
+
+    Each skill is as likely as any other, however many objects it could be done to. A hand that could go to any of many
+    blocks would seldom hold one, and what is lost with it would not be seen.
+    """
+    choice = [s for s in possible if situation(s, atoms) not in seen] or possible
+    names = sorted({s.name for s in choice})
     chosen = names[int(rng.integers(len(names)))]
-    ways = [s for s in possible if s.name == chosen]
+    ways = [s for s in choice if s.name == chosen]
     return ways[int(rng.integers(len(ways)))]
