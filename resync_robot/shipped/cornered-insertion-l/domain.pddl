@@ -40,12 +40,12 @@
   (:action PickTower
     :parameters (?r - robot ?b0 - block ?b1 - block)
     :precondition (and (HandEmpty ?r) (LidOff) (On ?b0 ?b1) (Outside ?b1) (ReadyInsert ?b1))
-    :effect (and (Holding ?r ?b1) (HoldingTower ?r ?b0 ?b1) (not (HandEmpty ?r)))
+    :effect (and (Holding ?r ?b1) (HoldingTower ?r ?b0 ?b1) (not (HandEmpty ?r)) (forall (?any1 - block) (not (On ?b1 ?any1))))
   )
   (:action Place
     :parameters (?r - robot ?b - block)
     :precondition (and (Holding ?r ?b))
-    :effect (and (HandEmpty ?r) (not (Holding ?r ?b)))
+    :effect (and (HandEmpty ?r) (not (Holding ?r ?b)) (forall (?any1 - block ?any2 - block) (not (HoldingTower ?r ?any1 ?any2))))
   )
   (:action PlaceTower
     :parameters (?r - robot ?b0 - block ?b1 - block ?d - drawer)
