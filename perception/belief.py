@@ -170,9 +170,8 @@ class Belief:
         fitted = [
             o for o in self._fittings if o.name in scene.fittings and o not in unchanged and not self._is_held(o, scene)
         ]
-        if self.held in (*seen, *fitted):
-            self._grasp.correct(self._known, seen, robot_features)
-        self._grasp.left_behind(seen)
+        where = {b: scene.blocks[b.name].features for b in seen} | {o: scene.fittings[o.name].features for o in fitted}
+        self._grasp.correct(self._known, self._grasp.left_behind(where), robot_features)
         for block in seen:
             self._known[block] = measured(self._known.get(block), scene.blocks[block.name])
         for obj in fitted:

@@ -39,6 +39,7 @@ class Grasp:
         self._tip_T_held = np.eye(4)
         self._tip_T_rider: dict[Object, np.ndarray] = {}
         self._tip_T_block: dict[Object, np.ndarray] = {}
+        self._closed_at = np.eye(4)
         self._last_opening = np.inf
         self.held: Object | None = None
 
@@ -72,6 +73,7 @@ class Grasp:
         """The pads hold `held`, which is known."""
         world_T_tip = spatial.pose_from_features(robot_features[:7])
         tip_T_world = spatial.inverse(world_T_tip)
+        self._closed_at = world_T_tip
         self._tip_T_block = {
             b: tip_T_world @ spatial.pose_from_features(known[b].features[:7])
             for b in (*self._blocks, *self._lids)
@@ -84,18 +86,38 @@ class Grasp:
         self.held = None
         self._tip_T_rider = {}
 
-    def left_behind(self, seen: Collection[Object]) -> None:
-        """What seemed to ride on the held block stands elsewhere."""
-        self._tip_T_rider = {b: pose for b, pose in self._tip_T_rider.items() if b not in seen}
+    def left_behind(self, seen: Mapping[Object, np.ndarray]) -> list[Object]:
+        """What the hand was believed to carry and does not: what stands elsewhere, and what that stands on.
 
-    def correct(
-        self, known: dict[Object, Known], seen: Collection[Object], robot_features: Float[np.ndarray, "8"]
-    ) -> None:
-        """What the hand was believed to hold lies on the table: it lifted the block stacked with that, or nothing.
+        Whoever lifts a block lifts what is seated on it. What stands where it stood when the pads closed has not been
+        lifted, nor what is beneath it.
 
         Args:
-            seen: what is not in the hand.
+            seen: features of each block and lid that was seen where it stands.
         """
+        if self.held is None:
+            return []
+        column = [self.held, *self.riders]
+        stays = [i for i, obj in enumerate(column) if obj in seen and self._stays(obj, seen[obj])]
+        return [obj for i, obj in enumerate(column) if obj in seen or i <= max(stays, default=-1)]
+
+    def correct(self, known: dict[Object, Known], left: Collection[Object], robot_features: np.ndarray) -> None:
+        """The hand does not carry `left`. Where the held one is among them, it lifted the block that was stacked with
+        that, or nothing.
+
+        Args:
+            robot_features: (8,).
+        """
+        column = [self.held, *self.riders]
+        if self.held in left:
+            self._lift_another(known, left, robot_features)
+        else:
+            self._tip_T_rider = {b: pose for b, pose in self._tip_T_rider.items() if b not in left}
+        for obj in column:
+            if obj in self._tip_T_block and obj not in (self.held, *self.riders):
+                known[obj] = moved_to(known[obj], self._closed_at @ self._tip_T_block[obj])
+
+    def _lift_another(self, known: dict[Object, Known], left: Collection[Object], robot_features: np.ndarray) -> None:
         dropped = self.held
         self.release()
         if dropped is None:
@@ -103,9 +125,14 @@ class Grasp:
         opening = float(robot_features[7])
         for block in self._stacked_with(dropped):
             width, _ = self._grip(block, known[block].features)
-            if block not in seen and abs(opening - width) < GRIP_SLACK:
+            if block not in left and abs(opening - width) < GRIP_SLACK:
                 self._hold(known, block, spatial.pose_from_features(robot_features[:7]))
                 return
+
+    def _stays(self, obj: Object, features: np.ndarray) -> bool:
+        """Does it stand where it stood when the pads closed?"""
+        before = (self._closed_at @ self._tip_T_block[obj])[:3, 3] if obj in self._tip_T_block else np.inf
+        return bool(np.abs(features[:3] - before).max() < SEATED)
 
     def _hold(self, known: dict[Object, Known], held: Object, world_T_tip: np.ndarray) -> None:
         tip_T_block = self._tip_T_block[held].copy()

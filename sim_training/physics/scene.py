@@ -185,8 +185,9 @@ def add_robot(scene: sapien.Scene, rig: Rig, physics: Mapping[str, Any], rendere
     steel = material(0.3, solver)
     for link in robot.links:
         link.disable_gravity = True
-        for shape in link.collision_shapes:
-            shape.physical_material = pad if link.name.endswith("finger") else steel
+        for i, shape in enumerate(link.collision_shapes):
+            # The first shape of a finger is its pad; what the pad hangs on stands back from it, and is bare.
+            shape.physical_material = pad if i == 0 and link.name.endswith("finger") else steel
             # A shared bit in the third word: the robot's own links do not collide with each other.
             shape.set_collision_groups([1, 1, 1, 0])
             shape.contact_offset = solver.contact_offset

@@ -108,3 +108,20 @@ def test_when_everything_stays_behind_the_hand_holds_nothing(rig: Rig) -> None:
     seen = scene(block("b0", 0.45, 0.05, FLOOR + HEIGHT, stacked=True), block("b1", 0.45, 0.05), block("b2", 0.5, -0.1))
     belief.update(seen, lost)
     assert belief.held is None
+
+
+def test_what_stands_where_it_stood_was_not_lifted_nor_what_is_beneath_it(rig: Rig) -> None:
+    belief = Belief(R, THE_BOX, (B0, B1, BLOCK("b2")), rig)
+    tower(belief, "b0", "b1")
+    upper = block("b2", 0.45, 0.05, FLOOR + 2 * HEIGHT, stacked=True)
+    belief.update(scene(upper), robot())
+    for opening in (0.10, WIDTH + 0.001):
+        belief.state(robot(0.45, 0.05, FLOOR + HEIGHT / 2, opening))
+    assert belief.in_hand == (B1, B0, BLOCK("b2"))
+    # Only the uppermost came along; the middle one is seen, and hides the lowest.
+    lifted = robot(0.30, 0.20, 0.30, WIDTH + 0.001)
+    state = belief.update(scene(block("b0", 0.45, 0.05, FLOOR + HEIGHT, stacked=True)), lifted)
+    assert belief.in_hand == (BLOCK("b2"),)
+    assert state.get(B1, "x", "y", "z") == pytest.approx([0.45, 0.05, FLOOR + HEIGHT / 2], abs=0.002)
+    assert state.get(BLOCK("b2"), "x", "y", "z") == pytest.approx([0.30, 0.20, 0.30 + 2 * HEIGHT], abs=0.003)
+    assert belief.report.hidden == ("b1",)
