@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
@@ -224,6 +224,20 @@ class Operator:
 
         swept = frozenset(a for atom in bind(self.delete_all) for a in _instances(atom, among))
         return GroundOperator(self, tuple(objects), bind(self.preconditions), bind(self.add), bind(self.delete), swept)
+
+    def renamed(self, names: Mapping[str, Predicate]) -> Operator:
+        """The same operator with the predicates of these names exchanged for others of the same types."""
+
+        def of(atoms: Atoms) -> Atoms:
+            return frozenset(Atom(names.get(a.predicate.name, a.predicate), a.args) for a in atoms)
+
+        return replace(
+            self,
+            preconditions=of(self.preconditions),
+            add=of(self.add),
+            delete=of(self.delete),
+            delete_all=of(self.delete_all),
+        )
 
 
 @dataclass(frozen=True, slots=True)

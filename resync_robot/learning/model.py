@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from resync_robot.core.errors import LibraryError
 from resync_robot.core.library import RETRAIN, Record
 from resync_robot.core.relations import Relations
-from resync_robot.core.symbols import Atom, Atoms, Operator, Predicate, Type
+from resync_robot.core.symbols import Atom, Operator, Predicate, Type
 from resync_robot.learning.classifiers import KIND, NeuralClassifier
 from resync_robot.learning.effect_vectors import (
     candidate_from_json,
@@ -147,7 +147,7 @@ def assemble(
     taken = [*(t.name for t in given.types), *(p.name for p in known.predicates)]
     named, names = _name(selection.concepts, {*taken, *(o.name for o in selection.score.operators)})
     renamed = {old: n.predicate for old, n in names.items()}
-    operators = tuple(_renamed(_with_effects(op, pool, names), renamed) for op in selection.score.operators)
+    operators = tuple(_with_effects(op, pool, names).renamed(renamed) for op in selection.score.operators)
     predicates = (*known.predicates, *(n.predicate for n in named))
     classifiers: dict[str, Classifier | Form] = dict(known.classifiers)
     records: dict[str, Record] = dict(known.records)
@@ -259,19 +259,6 @@ def _usual_change(column: Column) -> int:
         return 0
     gained, lost = (column.after & ~column.before).mean(), (column.before & ~column.after).mean()
     return 1 if gained > 0.5 else -1 if lost > 0.5 else 0
-
-
-def _renamed(operator: Operator, names: Mapping[str, Predicate]) -> Operator:
-    def atoms(of: Atoms) -> Atoms:
-        return frozenset(Atom(names.get(a.predicate.name, a.predicate), a.args) for a in of)
-
-    return replace(
-        operator,
-        preconditions=atoms(operator.preconditions),
-        add=atoms(operator.add),
-        delete=atoms(operator.delete),
-        delete_all=atoms(operator.delete_all),
-    )
 
 
 def _changes(before: Iterable[Operator], after: Iterable[Operator]) -> list[str]:

@@ -11,12 +11,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
 from resync_robot.core.library import load_library
-from resync_robot.core.symbols import Atom, Atoms, Operator, Predicate
+from resync_robot.core.symbols import Operator, Predicate
 from resync_robot.library_models import known_concepts
 from resync_robot.planning.pddl import operator_to_pddl
 from resync_robot.sim_training.domains import find_domain
@@ -32,31 +31,18 @@ def model_of(folder: Path) -> tuple[Model, list[Predicate]]:
     return {o.name: o for o in concepts.operators}, sorted(set(concepts.predicates) - set(domain.predicates))
 
 
-def renamed(operator: Operator, names: dict[Predicate, Predicate]) -> Operator:
-    def of(atoms: Atoms) -> Atoms:
-        return frozenset(Atom(names.get(a.predicate, a.predicate), a.args) for a in atoms)
-
-    return replace(
-        operator,
-        preconditions=of(operator.preconditions),
-        add=of(operator.add),
-        delete=of(operator.delete),
-        delete_all=of(operator.delete_all),
-    )
-
-
-def renamings(own: list[Predicate], first: list[Predicate]) -> Iterator[dict[Predicate, Predicate]]:
+def renamings(own: list[Predicate], first: list[Predicate]) -> Iterator[dict[str, Predicate]]:
     """Every way to call discovered predicates as the first library calls those of the same types."""
     for chosen in permutations(first) if len(own) == len(first) else ():
         if all(a.types == b.types for a, b in zip(own, chosen, strict=True)):
-            yield dict(zip(own, chosen, strict=True))
+            yield dict(zip((p.name for p in own), chosen, strict=True))
 
 
 def differences(own: tuple[Model, list[Predicate]], first: tuple[Model, list[Predicate]]) -> list[str]:
     """The names of the operators that differ, and both of each, in PDDL; empty where none does."""
     found: list[tuple[int, list[str]]] = []
     for names in renamings(own[1], first[1]):
-        model = {n: renamed(o, names) for n, o in own[0].items()}
+        model = {n: o.renamed(names) for n, o in own[0].items()}
         differ = sorted(n for n in {*model, *first[0]} if model.get(n) != first[0].get(n))
         lines = [operator_to_pddl(m[n]) if n in m else f"no {n}" for n in differ for m in (first[0], model)]
         found.append((len(differ), lines))

@@ -80,6 +80,14 @@ def test_an_ill_typed_grounding_is_refused(objects: tuple) -> None:
         INSERT.ground(objects)
 
 
+def test_renaming_there_and_back_leaves_the_operator_as_it_was() -> None:
+    other = Predicate("Seated", ON.types)
+    renamed = INSERT.renamed({"On": other})
+    atoms = renamed.preconditions | renamed.add | renamed.delete
+    assert other(TOP, BASE) in renamed.add and ON not in {a.predicate for a in atoms}
+    assert renamed != INSERT and renamed.renamed({"Seated": ON}) == INSERT
+
+
 def test_an_operator_may_use_its_parameters_only() -> None:
     with pytest.raises(PlanningError, match=r"\?base.*not among its parameters"):
         Operator("Drop", (TOP,), add=frozenset({ON(TOP, BASE)}))
