@@ -23,6 +23,7 @@ from resync_robot.core.symbols import Object
 from resync_robot.core.vocabulary import BLOCK, BOX, ROBOT
 from resync_robot.core.world import ArmObservation, Cutout, Ready
 from resync_robot.learning.camera_view import (
+    DONE,
     DONE_IN_A_ROW,
     LEAN,
     VIEWS,
@@ -43,7 +44,14 @@ from resync_robot.policies import camera_order
 from resync_robot.policies.carried_block import ByState, CarriedBlock
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
 from resync_robot.policies.grasp import travel_height
-from resync_robot.policies.state_recovery import DECISION_STEPS, RATE_HZ, RecoverySkillSettings, approach, leave
+from resync_robot.policies.state_recovery import (
+    DECISION_STEPS,
+    RATE_HZ,
+    RecoverySkillSettings,
+    approach,
+    leave,
+    sure_enough,
+)
 from resync_robot.policies.tip_over_guard import TipOverGuard, press_on
 
 ATTEMPT = RecoverySkillSettings(max_decisions=120)
@@ -201,7 +209,8 @@ def _drive(
                 astray = not (yield from press_on(hand, over, steps, guard))
                 continue
             chunks.push(careful_steps(prediction)[0], late)
-            done_in_a_row = done_in_a_row + 1 if says_done(prediction)[0] and not refuted else 0
+            says_so = says_done(prediction, sure_enough(DONE, block.carried.away))[0]
+            done_in_a_row = done_in_a_row + 1 if says_so and not refuted else 0
             if done_in_a_row >= DONE_IN_A_ROW:
                 return True
         watch.motion(hand.tip())

@@ -24,7 +24,7 @@ from resync_robot.core.symbols import Object
 from resync_robot.learning.camera_view import GAPS, Prediction
 from resync_robot.learning.carried import Carried
 from resync_robot.learning.recovery_policy import STUD, commanded_tip, observe, project, wall_gaps
-from resync_robot.policies.state_recovery import how_sure, recovery_nets
+from resync_robot.policies.state_recovery import how_sure, recovery_nets, sure_enough
 
 BEYOND = 0.015
 """m by which pictures may put the block, or a wall of its box, further away than the hand can have taken it: rarely are
@@ -35,16 +35,18 @@ INSIDE = 0.010
 
 @dataclass(frozen=True)
 class ByState:
-    """The recovery that knows the exact state: (n, 19) observations -> (n, 3) actions, and (n,) is it done?"""
+    """The recovery that knows the exact state: (n, 19) observations -> (n, 3) actions, and (n,) how likely it is done.
+    It is from the probability `sure` on."""
 
     act: Callable[[Tensor], Tensor]
     done: Callable[[Tensor], Tensor]
+    sure: float = 0.5
 
     @staticmethod
     def of(record: Record) -> ByState:
         """That of a library's record. Raises LibraryError on a broken one."""
-        (net, done), sure = recovery_nets(record), how_sure(record)
-        return ByState(net.act, lambda seen: done.probability(seen) > sure)
+        net, done = recovery_nets(record)
+        return ByState(net.act, done.probability, how_sure(record))
 
 
 @dataclass
@@ -100,6 +102,6 @@ class CarriedBlock:
         x = self.projected(tip, sent)
         with torch.no_grad():
             seen = observe(x)
-            if bool(policy.done(seen)):
+            if float(policy.done(seen)) > sure_enough(policy.sure, self.carried.away):
                 return None
             return commanded_tip(x, policy.act(seen))[0].double().numpy()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from resync_robot.core import spatial
@@ -29,6 +30,10 @@ DECISION_STEPS = 5
 """Control steps between two decisions of the policy: 10 Hz, as it was trained."""
 NOISE = 0.25
 """Standard deviation of the actions that PPO tried towards its end, in those of [-1, 1]."""
+
+UNMOVED, SUREST = 0.003, 0.95
+"""An attempt that has moved its block by less than this, m, is done only from this probability on: as far as training
+went on where it could have stopped. Who asks for the recovery has found that something fails."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,11 +105,12 @@ def _recover(
             return refused
         finished, guard = False, TipOverGuard()
         noise = torch.Generator().manual_seed(round(1000 * first.time))
+        began = first.state.get(block, "x", "y")
         for decision in range(s.max_decisions):
             projected = project(hand.last.state, robot, block, box, hand.position)
             with torch.no_grad():
                 seen = observe(projected)
-                if float(done(seen)) > s.sure:
+                if float(done(seen)) > sure_enough(s.sure, hand.last.state.get(block, "x", "y") - began):
                     finished = True
                     break
                 action = act(seen)
@@ -120,6 +126,11 @@ def _recover(
             SkillEnd.TIMEOUT, f"in {s.max_decisions} decisions the policy did not say that {block} is free"
         )
     return SkillOutcome(SkillEnd.DONE)
+
+
+def sure_enough(sure: float, way: Float[np.ndarray, "2"]) -> float:
+    """The probability from which on an attempt is done that has moved its block by (2,) m, where `sure` is usual."""
+    return sure if np.linalg.norm(way) > UNMOVED else max(sure, SUREST)
 
 
 def approach(

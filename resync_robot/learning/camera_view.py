@@ -84,9 +84,9 @@ DONE, DONE_IN_A_ROW = 0.5, 2
 """A policy is believed to be done when it says so, above this probability, and so often in a row."""
 
 
-def says_done(said: Prediction) -> Bool[np.ndarray, " n"]:
-    """Does it hold its recovery for finished, and agree with itself about that?"""
-    return (said.done > DONE) & (said.free > DONE)
+def says_done(said: Prediction, above: float = DONE) -> Bool[np.ndarray, " n"]:
+    """Does it hold its recovery for finished, and agree with itself about that? Both above this probability."""
+    return (said.done > above) & (said.free > above)
 
 
 LEANS, LET_GO, BESIDE = 0.25, 0.02, 0.05

@@ -122,7 +122,7 @@ class _Pressing:
         return torch.tensor([[0.0, 0.0, -1.0]])
 
     def done(self, seen: torch.Tensor) -> torch.Tensor:
-        return torch.tensor([self.left <= 0])
+        return torch.tensor([float(self.left <= 0)])
 
 
 @pytest.mark.parametrize("knows_state", [True, False])

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from torch import Tensor
 
 from resync_robot.core.skill import SkillEnd, SkillOutcome
@@ -17,9 +19,12 @@ from resync_robot.policies.scripted import scripted_skills
 from resync_robot.policies.state_recovery import (
     DECISION_STEPS,
     RATE_HZ,
+    SUREST,
+    UNMOVED,
     RecoverySkillSettings,
     recovery_skill,
     skill_from,
+    sure_enough,
 )
 from resync_robot.sim_training.domains.cornered_insertion_s.domain import holding
 from resync_robot.sim_training.physics.world import SimWorld
@@ -71,6 +76,20 @@ def test_it_begins_over_the_block_with_closed_fingers_and_ends_high() -> None:
     assert world.tips[-1][2] >= travel_height(SCENE, None) - 1e-3
     assert world.opening == pytest.approx(0.0)
     assert world.limits == [SETTINGS.effort_limit, None]
+
+
+@pytest.mark.parametrize(("probability", "ending"), [(0.9, SkillEnd.TIMEOUT), (0.97, SkillEnd.DONE)])
+def test_an_attempt_that_has_moved_nothing_is_done_only_where_that_is_all_but_certain(
+    probability: float, ending: SkillEnd
+) -> None:
+    outcome, _ = run(still, lambda seen: torch.tensor([probability]))
+    assert outcome.ending is ending
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 0.1))
+def test_how_sure_an_attempt_has_to_be_hangs_on_whether_it_moved_its_block(sure: float, moved: float) -> None:
+    needed = sure_enough(sure, np.array([0.0, moved]))
+    assert needed == (sure if moved > UNMOVED else max(sure, SUREST))
 
 
 def test_without_beta_it_gives_up_after_its_decisions() -> None:
