@@ -39,13 +39,14 @@ from resync_robot.learning.camera_view import (
     window_at,
 )
 from resync_robot.learning.carried import Carried
-from resync_robot.learning.recovery_policy import project, within_reach
+from resync_robot.learning.recovery_policy import STEP, project, within_reach
 from resync_robot.policies import camera_order
 from resync_robot.policies.carried_block import ByState, CarriedBlock
 from resync_robot.policies.cartesian import Blocked, Hand, Motion, run_motion
 from resync_robot.policies.grasp import travel_height
 from resync_robot.policies.state_recovery import (
     DECISION_STEPS,
+    NOISE,
     RATE_HZ,
     RecoverySkillSettings,
     approach,
@@ -54,8 +55,9 @@ from resync_robot.policies.state_recovery import (
 )
 from resync_robot.policies.tip_over_guard import TipOverGuard, press_on
 
-ATTEMPT = RecoverySkillSettings(max_decisions=120)
-"""Most recoveries take 2 to 4 s. A block that rather tips over than slides is let go at every press, and gets on by a
+ATTEMPT = RecoverySkillSettings(max_decisions=120, patience=40)
+"""Most recoveries take 2 to 4 s. What goes by the scan, and not by pictures, does the same again and again without the
+noise that comes after `patience`. A block that rather tips over than slides is let go at every press, and gets on by a
 millimetre or two each time. What has not worked in 12 s is better begun again after another scan."""
 ASIDE = 0.004
 """m beside the block's middle at which an attempt may begin; demonstrations begin up to 6 mm beside it."""
@@ -173,11 +175,14 @@ def _drive(
     z, height = hand.last.state.get(objects[1], "z", "size_z")
     guard, astray, done_in_a_row = TipOverGuard(top=z + height / 2), False, 0
     block, blind = CarriedBlock(hand.last.state, objects), False
-    for _ in range(s.max_decisions):
+    noise = np.random.default_rng(round(1000 * hand.last.time))
+    for decision in range(s.max_decisions):
         block.carried.follow(hand.tip())
         goal = block.step(by_state, hand.tip(), hand.position) if blind and by_state else None
         if blind and goal is None:
             return True
+        if goal is not None and decision >= s.patience:
+            goal = _reach(hand, objects, goal + NOISE * STEP * noise.standard_normal(3))
         if goal is None:
             goal = _reach(hand, objects, hand.position + from_hand(watch.step(chunks.next()), hand.yaw))
         if chunks.wanting and not thinking.busy:
@@ -190,6 +195,7 @@ def _drive(
             thinking.answer(hand.last.ready, wait=True)
             chunks, astray = Chunks(), True
             continue
+        block.sank(hand.tip())
         answer = thinking.answer(hand.last.ready, wait=not chunks.left)
         if answer is not None:
             prediction, late = answer

@@ -3,8 +3,8 @@
 A scan knows a block to a millimetre, and nothing but the hand moves it: it went along with the hand at most. Pictures
 on the way know it to a few millimetres, but in a world that looks like no other they may take a cornered block for a
 free one. What they cannot be right about is not believed. The policy that knows the exact state then acts on the block
-as it would be had it come along. Where the hand then sinks into the place of that block, the block is not there, and
-pictures are right after all.
+as it would be had it come along. Where the hand then sinks into the place of that block, or stands beside a stud that
+should bear it, the block is not there, and pictures are right after all.
 """
 
 from __future__ import annotations
@@ -25,12 +25,15 @@ from resync_robot.learning.camera_view import GAPS, Prediction
 from resync_robot.learning.carried import Carried
 from resync_robot.learning.recovery_policy import STUD, commanded_tip, observe, project, wall_gaps
 from resync_robot.policies.state_recovery import how_sure, recovery_nets, sure_enough
+from resync_robot.policies.tip_over_guard import BENEATH
 
 BEYOND = 0.015
 """m by which pictures may put the block, or a wall of its box, further away than the hand can have taken it: rarely are
 they that wrong in worlds like those of training."""
 INSIDE = 0.010
 """m inside the block's edges from which on tips that sink have not slid off it: where it stands is known as well."""
+OVER_STUD = 0.010
+"""m from a stud's middle within which closed fingers rest on it, and not beside it on the block."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +73,16 @@ class CarriedBlock:
         self.carried = Carried(z + height / 2 + STUD)
 
     def sank(self, tip: Float[np.ndarray, "3"]) -> None:
-        """The tips have sunk beneath the block's upper face at (3,), m: beside it, or it is elsewhere."""
+        """The tips are at (3,), m: lower than the block, or its stud, would bear them where it would be by the scan and
+        the hand, they show that it is elsewhere."""
         pose = spatial.pose_from_features(self.state[self.objects[1]][:7])
         pose[:2, 3] += self.carried.away
         half = self.state.get(self.objects[1], "size_x", "size_y") / 2
-        local = (spatial.inverse(pose) @ np.append(tip, 1.0))[:2]
-        self.elsewhere |= bool((np.abs(local) < half - INSIDE).all())
+        beside = np.abs((spatial.inverse(pose) @ np.append(tip, 1.0))[:2])
+        stud, face = self.carried.top, self.carried.top - STUD
+        beneath_stud = tip[2] < stud - STUD / 2 and (beside < OVER_STUD).all()
+        beneath_face = tip[2] < face - BENEATH and (beside < half - INSIDE).all()
+        self.elsewhere |= bool(beneath_stud or beneath_face)
 
     def projected(self, tip: np.ndarray, sent: np.ndarray) -> Tensor:
         """(1, 27) as `recovery_policy.project`, with the block as far along as it can be."""

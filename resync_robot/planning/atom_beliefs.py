@@ -41,7 +41,9 @@ class BeliefSettings:
     lucky: float = 0.1
     """Probability that a skill succeeds although a learned precondition is false."""
     word: float = 0.75
-    """Probability that what a skill says of itself, done or not, is true."""
+    """Probability that a skill is done that says so."""
+    gave_up: float = 0.75
+    """Share of the usual success of a skill where it gave up: some of those attempts have done enough."""
     most: float = 0.95
     """Outcomes alone raise no probability above this, and lower none below 1 minus it: attempts at one object are not
     independent of each other."""
@@ -96,15 +98,17 @@ class AtomBeliefs:
         return came_true
 
     def _expect(self, step: GroundOperator, outcome: SkillOutcome, success: float) -> None:
-        """What the step brings about is so with the probability of its success, or was so before, given its word."""
+        """What the step brings about is so with the probability of its success, given its word, or was so before."""
         for atom in (step.delete | step.swept) - step.add:
             self._evidence.pop(atom, None)
         if outcome.ending in (SkillEnd.REFUSED, SkillEnd.NEEDLESS):
             return
-        trust = self._settings.word / (1 - self._settings.word)
+        # How often it succeeds in practice says little of an attempt that gave up.
+        s = self._settings
+        brought, trust = (success, s.word / (1 - s.word)) if outcome.done else (success * s.gave_up, 1.0)
         for atom in self._learned(step.add):
             odds = math.exp(self._evidence.get(atom, 0.0))
-            odds = (odds + success) / (1 - success) * (trust if outcome.done else 1 / trust)
+            odds = (odds + brought) / (1 - brought) * trust
             self._set(atom, math.log(odds))
 
     def _blame(self, before: Mapping[Atom, float], success: float, came_true: bool, step: GroundOperator) -> None:

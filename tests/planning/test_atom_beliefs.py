@@ -159,3 +159,11 @@ def test_outcomes_never_outweigh_a_clear_look_beyond_measure(history) -> None:
         assert clean < 0.5 or b.probability(CLEAN(A)) >= 1 - s.most - 1e-9
         assert clean > 0.5 or b.probability(CLEAN(A)) <= s.most + 1e-9
         assert not b.certain() & b.likely().keys()
+
+
+def test_an_attempt_that_gave_up_is_not_believed_for_what_practice_came_to() -> None:
+    """As a recovery that always succeeded in practice, ran out of time here, and left what looks half done."""
+    always = OutcomeCosts({"Wipe": [Tally(OPEN, (0,), (300, 300), (0, 0))]})
+    gave_up, done = (beliefs(costs=always, clean=0.4) for _ in range(2))
+    assert not gave_up.attempted(WIPE_A, BLOCKED, looks(clean=0.4)) and CLEAN(A) not in gave_up.certain()
+    assert done.attempted(WIPE_A, DONE, looks(clean=0.4)) and CLEAN(A) in done.certain()

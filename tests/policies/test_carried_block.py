@@ -16,7 +16,7 @@ from resync_robot.learning.camera_view import Prediction
 from resync_robot.learning.recovery_policy import STUD, wall_gaps
 from resync_robot.planning.skill_run import run_skill
 from resync_robot.policies.camera_recovery import camera_recovery_skill
-from resync_robot.policies.carried_block import BEYOND, INSIDE, ByState, CarriedBlock
+from resync_robot.policies.carried_block import BEYOND, INSIDE, OVER_STUD, ByState, CarriedBlock
 from tests import scenes
 from tests.policies.followers import RIG
 from tests.policies.test_camera_recovery import SCENE, SETTINGS, Scripted, Seeing
@@ -147,3 +147,15 @@ def test_a_hand_that_meets_nothing_where_the_scan_has_the_block_looks_for_it_aga
     seeing = Seeing(SCENE)
     assert run_skill(seeing, skill.ground((R, B0, THE_BOX))).ending is SkillEnd.DONE
     assert min(float(tip[2]) for tip in seeing.tips) < TOP - STUD, "it has been where the block would be"
+
+
+@given(st.floats(-0.03, 0.03), st.floats(-0.03, 0.03), st.floats(-0.004, 0.01))
+def test_fingers_that_stand_beside_the_stud_where_it_should_bear_them_show_that_the_block_is_elsewhere(
+    x: float, y: float, above: float
+) -> None:
+    carried = block()
+    # The upper face bears them, or the stud.
+    carried.sank(tip_at(*SCENE.get(B0, "x", "y") + [x, y], above - STUD))
+    beside = np.abs(spatial.pose_from_features(SCENE[B0][:7])[:2, :2].T @ [x, y]).max()
+    assume(abs(beside - OVER_STUD) > 1e-9 and abs(above - STUD / 2) > 1e-9)
+    assert carried.elsewhere == (beside < OVER_STUD and above < STUD / 2)
