@@ -79,6 +79,10 @@ def scripted_skills(rig: Rig, settings: ScriptedSettings | None = None) -> tuple
     )
 
 
+LEAST_OVER_GROUND = 0.003
+"""m that the tips keep from the ground where something is put down, at the lowest that they are sent."""
+
+
 def _pick(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: ScriptedSettings) -> Motion:
     _, block = objects
     hand = Hand(rig, first, 1.0 / RATE_HZ, s.stray)
@@ -189,7 +193,10 @@ def _place(objects: tuple[Object, ...], first: ArmObservation, rig: Rig, s: Scri
     if not places:
         return SkillOutcome(SkillEnd.REFUSED, f"no free place within reach to put {held} down")
     reason = ""
-    for tip in (place + block_to_tip for place in places[: s.places]):
+    for place in places[: s.places]:
+        tip = place + block_to_tip
+        # A block that is held by its lower end is let fall: the tips reach further down than it does.
+        tip[2] = max(tip[2], place[2] + s.contact_range + LEAST_OVER_GROUND)
         try:
             yield from bring_over(hand, tip, hand.yaw, above, s)
         except Dropped as dropped:

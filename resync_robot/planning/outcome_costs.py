@@ -142,10 +142,10 @@ class OutcomeCosts:
         return self._settings.step - math.log(self.success(step, atoms))
 
     def about_things(self, step: GroundOperator, atoms: Collection[Atom]) -> frozenset[Atom]:
-        """Of these `circumstances` those that the step hangs on, but for what holds of something and anything else, as
-        that the hand holds something."""
+        """Of these `circumstances` those about its own arguments that the step hangs on. What holds of something, or of
+        all there is, a detour could change that has nothing to do with the step."""
         sides = zip(self._tallies.get(step.name, ()), self._judged(step), strict=True)
-        return frozenset(atom for tally, (atom, _, _) in sides if not isinstance(tally.form, Exists) and atom in atoms)
+        return frozenset(atom for tally, (atom, _, _) in sides if tally.form is None and atom in atoms)
 
     def hangs_on(
         self, step: GroundOperator, objects: Collection[Object]
