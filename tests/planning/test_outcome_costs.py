@@ -197,3 +197,12 @@ def test_jitter_takes_another_of_plans_as_good_and_no_worse_one() -> None:
     for seed in range(20):
         found = plan((POUR, WIPE), (A, B), frozenset({OPEN(A)}), FULL_A, costs=JitteredCosts(risky, seed))
         assert [s.name for s in found.steps] == ["Wipe", "Pour"]
+
+
+@pytest.mark.parametrize("failed", [{}, {"Pour(a)": 1}])
+def test_a_step_that_failed_is_not_put_off_for_a_detour_that_changes_what_holds_of_all(failed: dict[str, int]) -> None:
+    """That all cups are clean is worth less than wiping the other one, and no circumstance of pouring this one."""
+    all_clean = ForAll(CLEAN, (0,))
+    costs = OutcomeCosts({"Pour": [Tally(all_clean.predicate, (), (90, 100), (80, 100), all_clean)]})
+    found = plan((POUR, WIPE), (A, B), frozenset({OPEN(A), CLEAN(A)}), FULL_A, costs=costs, failed=failed)
+    assert [str(s) for s in found.steps] == ["Pour(a)"]

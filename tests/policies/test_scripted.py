@@ -239,6 +239,16 @@ class Hidden(SimWorld):
         return replace(seen, state=seen.state.with_features(B1, x=scenes.BOX_X + 0.07, y=0.05, z=0.03))
 
 
+def test_a_block_that_is_held_by_its_lower_end_is_let_fall_where_the_tips_would_meet_the_ground() -> None:
+    x, y, z = RIG.tip_pose(RIG.arm.home)[:3, 3]
+    lying = scenes.scene({"b0": FREE, "b1": ASIDE}).initial
+    world = Follower(lying.with_features(B0, x=x, y=y, z=z + scenes.HEIGHT), opening=scenes.WIDTH)
+    assert run_skill(world, SKILLS["Place"].ground((R, B0))).done
+    lowest = min(float(tip[2]) for tip in world.tips)
+    assert 0.002 < lowest < 0.005
+    assert world.opening > scenes.WIDTH
+
+
 def test_putting_down_what_is_not_in_the_hand_is_refused_without_moving() -> None:
     world = Follower(scenes.scene({"b0": FREE, "b1": ASIDE}).initial)
     assert run_skill(world, SKILLS["Place"].ground((R, B0))) == SkillOutcome(SkillEnd.REFUSED, "b0 is not in the hand")
