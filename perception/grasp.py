@@ -131,7 +131,9 @@ class Grasp:
 
     def _stays(self, obj: Object, features: np.ndarray) -> bool:
         """Does it stand where it stood when the pads closed?"""
-        before = (self._closed_at @ self._tip_T_block[obj])[:3, 3] if obj in self._tip_T_block else np.inf
+        if obj not in self._tip_T_block:
+            return False
+        before = (self._closed_at @ self._tip_T_block[obj])[:3, 3]
         return bool(np.abs(features[:3] - before).max() < SEATED)
 
     def _hold(self, known: dict[Object, Known], held: Object, world_T_tip: np.ndarray) -> None:
